@@ -272,13 +272,9 @@ def question_of(
     smooth = current(smooth)
     _check_tails(tails, smooth)
     _check_band(band, smooth)
-    chained = tuple(chain.states for chain in roles.chains)
-    targets = () if roles.discrete else roles.targets
-    variables = Variables(roles.states, roles.inputs, chained, targets=targets, discrete=roles.discrete)
     if roles.discrete:
         _check_map(smooth, band, lag_sd, differs, law)
-    if not roles.states:  # static laws alone
-        variables = Variables(roles.inputs)
+    variables = _variables(roles)
     if is_library(dictionary):
         dictionary = terms_of(dictionary, variables.names)
     terms, allowed, roles = with_law_terms(*build_dictionaries(dictionary, roles.seen.targets, variables), roles)
@@ -314,6 +310,15 @@ def question_of(
         seed=seed,
         step=silent if progress is None else progress,
     )
+
+
+def _variables(roles: Roles) -> Variables:
+    """What terms may name; of static laws alone the inputs."""
+    if not roles.states:
+        return Variables(roles.inputs)
+    chained = tuple(chain.states for chain in roles.chains)
+    targets = () if roles.discrete else roles.targets
+    return Variables(roles.states, roles.inputs, chained, targets=targets, discrete=roles.discrete)
 
 
 def _check_kinds(

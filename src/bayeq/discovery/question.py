@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence, Set
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from bayeq.arrays import Bools
 from bayeq.dictionary import Specification, written
+from bayeq.discovery.cautions import warn_of_blows, warn_of_other_terms, warn_of_sensors, warn_of_terms, warn_of_zero
 from bayeq.discovery.conserved import warn_of_changes
 from bayeq.discovery.differs import with_differences
 from bayeq.discovery.hidden import hidden_states, without_hidden
@@ -20,7 +21,7 @@ from bayeq.equation.equation import Equation
 from bayeq.equation.equations import Equations
 from bayeq.equation.units import arguments_with_units, channel_units, in_radians
 from bayeq.equation.written import odds_text
-from bayeq.errors import AmbiguityWarning, DataWarning, InputError, RecordError, TermWarning, WarningLog, some_of
+from bayeq.errors import DataWarning, InputError, RecordError, TermWarning, WarningLog, some_of
 from bayeq.expressions import Expression
 from bayeq.expressions.functions import CONSTANTS, TIME
 from bayeq.forecast.score import Scores
@@ -45,7 +46,6 @@ from bayeq.states import (
     Smooth,
     Tails,
     estimate_motion,
-    force_of_blows,
     known_sensors,
     measured_apart,
     require_in_range,
@@ -154,13 +154,10 @@ class Question:
         terms, known = _in_radians(self.terms, self.known, units, log)
         motion, terms = self._with_hidden(motion, terms, whole)
         terms = self._with_values(terms, motion, whole)
-        allowed, most = self.allowed, LIKELIHOOD.most_candidates // len(motion.roles.chains) - 1
-        if len(terms) > most:
-            constrained = parse_constraints(known, terms, motion.roles.targets)
-            terms, allowed = _screened(terms, motion, allowed, constrained, most, log)
+        terms, allowed = self._kept(terms, known, motion, log)
         design = self._design(motion, terms, allowed, whole)
-        _warn_of_terms(design, log)
-        _warn_of_zero(design, pieces, log)
+        warn_of_terms(design, log)
+        warn_of_zero(design, pieces, log)
         constrained = _constrained(known, design, self.method)
 
         step("likelihood", 0, 1)
@@ -186,7 +183,7 @@ class Question:
         if found is not None:
             scored, first = equations, WarningLog()
             equations, _, selections = self._found(*found, constrained, units, first, scored)
-            _warn_of_other_terms(equations, scored, first)
+            warn_of_other_terms(equations, scored, first)
         for equation in equations:
             first.extend([f"{equation.target}: {message}" for message in equation.at_ends], DataWarning)
         log.collected += first.collected
@@ -294,8 +291,8 @@ class Question:
             pieces, messages = without_hum(pieces, [*roles.measured, *roles.inputs], *self.band)
             log.extend(messages, DataWarning)
         motion = estimate_motion(pieces, roles, self.smooth, share, sensors, self.band)
-        _warn_of_sensors(motion, {*self.noise, *self.gain_sd, *self.lag_sd}, log)
-        _warn_of_blows(pieces, roles.inputs, sensors.noise, log)
+        warn_of_sensors(motion, {*self.noise, *self.gain_sd, *self.lag_sd}, log)
+        warn_of_blows(pieces, roles.inputs, sensors.noise, log)
         if self.lag_sd:
             motion = self._without_lags(motion, pieces, whole)
         _inspect(motion, [without_lags(piece, motion.sensors.lags) for piece in pieces], self.holdout, log)
@@ -313,10 +310,7 @@ class Question:
         if motion.sensors.lags.keys() >= {*motion.roles.measured, *motion.roles.inputs}:
             raise InputError("lag_sd: only lags against other channels show: leave out a channel that is the clock")
         terms, known = _in_radians(self.terms, self.known, _units(pieces, motion.roles, WarningLog()), WarningLog())
-        most, allowed = LIKELIHOOD.most_candidates // len(motion.roles.chains) - 1, self.allowed
-        if len(terms) > most:
-            constrained = parse_constraints(known, terms, motion.roles.targets)
-            terms, allowed = _screened(terms, motion, allowed, constrained, most, WarningLog())
+        terms, allowed = self._kept(terms, known, motion, WarningLog())
         lags, moved = first_lags(motion, self._with_values(terms, motion, whole)), math.inf
         for k in range(LAG_ROUNDS):
             self.step("lags", k, LAG_ROUNDS)
@@ -327,6 +321,23 @@ class Question:
             design = build_design(self._with_values(terms, motion, whole), motion, allowed=allowed)
             lags, moved = lags_of_design(design, self.dictionary, self.prior)
         return motion
+
+    def _kept(
+        self, terms: tuple[Expression, ...], known: Sequence[str], motion: Motion, log: WarningLog
+    ) -> tuple[tuple[Expression, ...], Bools]:
+        """The candidates, and where they may stand; of too many those that explain most, or that something is known
+        of."""
+        most = LIKELIHOOD.most_candidates // len(motion.roles.chains) - 1
+        if len(terms) <= most:
+            return terms, self.allowed
+        constrained = parse_constraints(known, terms, motion.roles.targets)
+        kept = screened(terms, motion, self.allowed, np.any([one.concerned for one in constrained], axis=0), most)
+        log.warn(
+            f"{len(terms):,} candidates: {len(kept):,} were kept, the simplest and those that explain most; leave out"
+            " what cannot be true",
+            TermWarning,
+        )
+        return tuple(terms[int(j)] for j in kept), self.allowed[:, kept]
 
     def _design(self, motion: Motion, terms: Sequence[Expression], allowed: Bools, whole: Whole | None) -> Design:
         """The dictionary on the rows: of all of them, where motion is not smoothed."""
@@ -470,25 +481,6 @@ def _constrained(known: Sequence[str], design: Design, method: str) -> tuple[Con
     return found
 
 
-def _screened(
-    terms: Sequence[Expression],
-    motion: Motion,
-    allowed: Bools,
-    constrained: Sequence[Constraints],
-    most: int,
-    log: WarningLog,
-) -> tuple[tuple[Expression, ...], Bools]:
-    """The candidates of a large dictionary that explain most, and those that something is known of."""
-    forced = np.any([one.concerned for one in constrained], axis=0)
-    kept = screened(terms, motion, allowed, forced, most)
-    log.warn(
-        f"{len(terms):,} candidates: {len(kept):,} were kept, the simplest and those that explain most; leave out what"
-        " cannot be true",
-        TermWarning,
-    )
-    return tuple(terms[int(j)] for j in kept), allowed[:, kept]
-
-
 def _units(records: Sequence[Record], roles: Roles, log: WarningLog) -> dict[str, str]:
     units, conflicts = channel_units([record.units for record in records], roles.chains, roles.inputs)
     log.extend(conflicts, DataWarning)
@@ -517,79 +509,6 @@ def _in_radians(
         others = f" ({len(found) - 1} more alike)" if len(found) > 1 else ""
         log.warn(f"{text}: its argument has the unit {unit}{others}: leave it, or use a ratio without one", TermWarning)
     return written, tuple(known)
-
-
-def _warn_of_other_terms(equations: Sequence[Equation], scored: Sequence[Equation], log: WarningLog) -> None:
-    """Say where an equation of all rows has other terms than the one that fits and verdict on the last rows are of."""
-    for equation, former in zip(equations, scored, strict=True):
-        if set(equation.shown) != set(former.shown):
-            log.warn(
-                f"{equation.target}: the first rows alone give other terms than all of them"
-                f" ({some_of(former.shown or ('none',), 40)}): measure longer",
-                AmbiguityWarning,
-            )
-
-
-def _warn_of_sensors(motion: Motion, given: Set[str], log: WarningLog) -> None:
-    """Say which of what was given of channels makes no difference."""
-    roles, sensors = motion.roles, motion.sensors
-    computed = [name for name in given if name not in {*roles.measured, *roles.inputs}]
-    if computed:
-        log.warn(
-            f"what was given of {some_of(sorted(computed), 30)} is not used: give that of the channel it was computed"
-            " from",
-            DataWarning,
-        )
-    unused = [name for name in roles.measured if sensors.noisy(name)]
-    if unused and not motion.smoothed:
-        log.warn(
-            f"the noise given of {some_of(unused, 30)} is not used: rows are taken as measured here; use smooth='auto'",
-            DataWarning,
-        )
-
-
-def _warn_of_blows(
-    records: Sequence[Record], inputs: Sequence[str], known: Mapping[str, float], log: WarningLog
-) -> None:
-    """Say what noise would do that a force window hides: between blows there is none to be seen."""
-    for name in inputs:
-        blows = None if name in known else force_of_blows(name, records)
-        if blows is not None:
-            change = float(np.abs(blows).max() / np.sqrt(blows @ blows))
-            log.warn(
-                f"{name} is exactly 0 between blows, its noise is not seen: 1 % of the peak would be {change:.1g} % of"
-                f" its coefficient: give --noise {name}=SD",
-                DataWarning,
-            )
-
-
-def _warn_of_zero(design: Design, records: Sequence[Record], log: WarningLog) -> None:
-    """Say which displacements are nowhere zero: where terms that depend on where zero is hardly differ."""
-    for chain in design.motion.roles.chains:
-        name = chain.measured[0]
-        if chain.order < 2 or name is None:
-            continue
-        samples = np.concatenate([record[name] for record in records])
-        low, high = float(np.nanmin(samples)), float(np.nanmax(samples))
-        powers = [term for term in design.terms if term.text.startswith(f"{name}**")]
-        if powers and not low <= 0.0 <= high:
-            log.warn(
-                f"{name} is nowhere zero, it lies between {low:.4g} and {high:.4g}: measure it from the position of"
-                f" rest (--remove-offset {name})",
-                DataWarning,
-            )
-
-
-def _warn_of_terms(design: Design, log: WarningLog) -> None:
-    n, terms = design.train[0].n, len(design.terms)
-    if n <= terms:
-        log.warn(
-            f"{n} training rows for {terms} candidate terms: fewer rows than terms; measure more, or give fewer terms",
-            DataWarning,
-        )
-    if design.dropped:
-        listed = some_of([f"{one.name} ({one.reason})" for one in design.dropped], 60, "; ")
-        log.warn(f"terms left out: {listed}: other motion, or other units, would tell", TermWarning)
 
 
 def _require_unambiguous(terms: Sequence[Expression], records: Sequence[Record], roles: Roles) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -142,16 +143,11 @@ def linearise(
         (n - 1, size), (n - 1, size, size), (n - 1, layout.motion, len(theta)), (n, chains), (n, chains, size)
     )
     integrate(steps, chosen, True, path, 0, n, end, transition, sources, target, gradient)
-    motion, holds, open_to = layout.motion, [], np.ones((n, chains))
-    for hold in blur.holds:
-        if layout.jumps_in(chosen)[hold.jump]:
-            rows = hold.rows
-            _hold_targets(layout, hold, path, target, gradient, open_to)
-            left, moved = hold.projectors(transition[rows, :motion][:, :, layout.discrepancy])
-            end[rows, :motion] = np.einsum("kij,kj->ki", left, end[rows, :motion]) + moved
-            transition[rows, :motion] = left @ transition[rows, :motion]
-            sources[rows] = left @ sources[rows]
-            holds.append((rows, left))
+    open_to = np.ones((n, chains))
+    held = [hold for hold in blur.holds if layout.jumps_in(chosen)[hold.jump]]
+    for hold in held:
+        _hold_targets(layout, hold, path, target, gradient, open_to)
+    holds = _hold_steps(layout, held, end, transition, sources)
     _to_mean(layout, series.intervals, end, transition)
     bends = (gradient[:-1, :, layout.driven] * _bends(path[:, layout.driven])[:, None]) ** 2
     if layout.discrete:
@@ -186,8 +182,23 @@ def linearise(
         chosen=chosen,
         sources=sources,
         steps=steps,
-        holds=tuple(holds),
+        holds=holds,
     )
+
+
+def _hold_steps(
+    layout: Layout, holds: Sequence[Hold], end: Floats, transition: Floats, sources: Floats
+) -> tuple[tuple[NDArray[np.intp], Floats], ...]:
+    """Steps in which jumps hold the motion: their rows, and what is left of it there."""
+    motion, out = layout.motion, []
+    for hold in holds:
+        rows = hold.rows
+        left, moved = hold.projectors(transition[rows, :motion][:, :, layout.discrepancy])
+        end[rows, :motion] = np.einsum("kij,kj->ki", left, end[rows, :motion]) + moved
+        transition[rows, :motion] = left @ transition[rows, :motion]
+        sources[rows] = left @ sources[rows]
+        out.append((rows, left))
+    return tuple(out)
 
 
 def _with_drifts(layout: Layout, gradient: Floats) -> tuple[Ints, Floats]:

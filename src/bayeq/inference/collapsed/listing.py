@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from bayeq.arrays import Bools, Floats, Ints
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import best_models
-from bayeq.inference.collapsed.tableau import drifted, flip, flip_gains, renew, score, swap_gains, swept
+from bayeq.inference.collapsed.tableau import Tableau, drifted, flip, flip_gains, renew, score, swap_gains, swept
 from bayeq.kernels import kernel
 
 # Up to this many free terms all models are enumerated.
@@ -123,7 +124,7 @@ def enumerate_models(problem: Problem) -> ModelSet:
     return ModelSet(models, levels[order], 0.0, len(levels))
 
 
-@kernel
+@kernel(borrowing=True)
 def _find(table: Ints, keys: Words, key: np.uint64) -> int:
     """Slot of `key` in the open-addressing table: where it is, or the empty slot where it belongs."""
     mask = np.uint64(len(table) - 1)
@@ -133,7 +134,7 @@ def _find(table: Ints, keys: Words, key: np.uint64) -> int:
     return int(slot)
 
 
-@kernel
+@kernel(borrowing=True)
 def _push(heap: Ints, size: int | np.int64, scores: Floats, item: int | np.int64) -> None:
     heap[size] = item
     k = size
@@ -163,120 +164,139 @@ def _pop(heap: Ints, size: int | np.int64, scores: Floats) -> int:
     return top
 
 
-# One loop whose state (heap, table of models, tableau) would have to be passed on by every part of it.
+class _Listing(NamedTuple):
+    """Models met, (room, P), with their scores and keys; a table of these; a heap of those to expand; how many of both.
+
+    `counts` are the number of models and the size of the heap.
+    """
+
+    models: Bools
+    scores: Floats
+    keys: Words
+    table: Ints
+    heap: Ints
+    counts: Ints
+
+
+def _listing(room: int, terms: int) -> _Listing:
+    models, scores, keys = np.empty((room, terms), np.bool_), np.empty(room), np.empty(room, np.uint64)
+    slots = 1 << (2 * room - 1).bit_length()
+    table, heap = np.full(slots, -1, np.int64), np.empty(room, np.int64)
+    return _Listing(models, scores, keys, table, heap, np.zeros(2, np.int64))
+
+
+@kernel(borrowing=True)
+def _add(listing: _Listing, model: Bools, i: int, j: int, key: np.uint64, score: float) -> bool:
+    """Lists a model with term j flipped and term i left out, where they are not -1; False if it was listed before."""
+    models, scores, keys, table, heap, counts = listing
+    slot, count = _find(table, keys, key), counts[0]
+    if table[slot] >= 0:
+        return False
+    if count < len(models):
+        table[slot] = count
+        for k in range(len(model)):
+            models[count, k] = model[k]
+        if j >= 0:
+            models[count, j] = not model[j]
+        if i >= 0:
+            models[count, i] = False
+        scores[count] = score
+        keys[count] = key
+        _push(heap, counts[1], scores, count)
+        counts[0] += 1
+        counts[1] += 1
+    return True
+
+
+@kernel(borrowing=True)
+def _include(gains: Floats, current: Bools, weight: float, inclusion: Floats) -> None:
+    """Adds the inclusion probabilities given the other terms of a model, by the gains of flips."""
+    for j in range(len(current)):
+        odds = -gains[j] if current[j] else gains[j]
+        if odds > -FORGET:
+            inclusion[j] += weight / (1.0 + math.exp(-odds))
+        elif gains[j] == -math.inf and current[j]:
+            inclusion[j] += weight
+
+
+@kernel(borrowing=True)
+def _move(p: Problem, T: Tableau, current: Bools, model: Bools) -> None:
+    """Brings the tableau from one model to another."""
+    for j in range(len(current)):
+        if model[j] != current[j]:
+            flip(p, T, j)
+            current[j] = model[j]
+    if drifted(p, T):
+        renew(p, T, current)
+
+
 @kernel
 def _search(
-    p: Problem, starts: Bools, start_scores: Floats, zobrist: Words, room: int, tolerance: float, keep: float
-) -> tuple[Bools, Floats, float, int, Floats]:
-    """Best-first search; returns models, scores, the estimate of the mass left out, the number expanded, and the
-    inclusion probabilities given the other terms, averaged over these."""
+    p: Problem,
+    starts: Bools,
+    start_scores: Floats,
+    zobrist: Words,
+    listing: _Listing,
+    tolerance: float,
+    keep: float,
+    inclusion: Floats,
+) -> tuple[float, int]:
+    """Best-first search; returns the estimate of the mass left out and the number expanded.
+
+    `inclusion` becomes the inclusion probabilities given the other terms, averaged over the models expanded.
+    """
+    models, scores, keys, _, heap, counts = listing
     terms = len(p.Dty)
-    models = np.empty((room, terms), np.bool_)
-    scores = np.empty(room)
-    keys = np.empty(room, np.uint64)
-    slots = 1
-    while slots < 2 * room:
-        slots *= 2
-    table, heap = np.empty(slots, np.int64), np.empty(room, np.int64)
-    for slot in range(slots):
-        table[slot] = -1
-    count = size = np.int64(0)  # as literal zeros they would make numba compile the heap for literals too
-    top = start_scores[0]
     for k in range(len(starts)):
         key = np.uint64(0)
         for j in range(terms):
             if starts[k, j]:
                 key ^= zobrist[j]
-        slot = _find(table, keys, key)
-        if table[slot] < 0:
-            table[slot] = count
-            for j in range(terms):
-                models[count, j] = starts[k, j]
-            scores[count] = start_scores[k]
-            keys[count] = key
-            _push(heap, size, scores, count)
-            size += 1
-            count += 1
-            top = max(top, start_scores[k])
+        _add(listing, starts[k], -1, -1, key, start_scores[k])
     # masses relative to exp(top of the starts): of all models kept, of the frontier, and too small to keep
-    reference = top
-    total = frontier = dropped = 0.0
-    for k in range(count):
-        total += math.exp(scores[k] - reference)
-    frontier = total
-    recent_found = recent_spent = all_found = all_spent = 0.0
-    current = np.empty(terms, np.bool_)
-    for j in range(terms):
-        current[j] = starts[0, j]
+    reference = top = start_scores.max()
+    total = frontier = np.exp(scores[: counts[0]] - reference).sum()
+    recent_found = recent_spent = all_found = all_spent = looked_at = dropped = 0.0
+    current, gains, ratio = starts[0].copy(), np.empty(terms), 1.0
     T = swept(p, current)
     expanded = moves = 0
-    inclusion, looked_at = np.zeros(terms), 0.0
-    gains = np.empty(terms)
-    ratio = 1.0
-    while size > 0 and count < room and moves < MOST_MOVES:
+    while counts[1] > 0 and counts[0] < len(models) and moves < MOST_MOVES:
         # what an expansion of the frontier is likely to bring in all, by the yield of recent expansions
         if CAUTION * frontier * ratio / (1.0 - min(ratio, 0.9)) + dropped < tolerance * total:
             break
-        item = _pop(heap, size, scores)
-        size -= 1
-        for j in range(terms):
-            if models[item, j] != current[j]:
-                flip(p, T, j)
-                current[j] = not current[j]
-        if drifted(p, T):
-            renew(p, T, current)
-        spent = math.exp(scores[item] - reference)
-        found = 0.0
+        item = _pop(heap, counts[1], scores)
+        counts[1] -= 1
+        _move(p, T, current, models[item])
+        spent, found = math.exp(scores[item] - reference), 0.0
         frontier -= spent
         expanded += 1
+        looked_at += spent
         for i in range(-1, terms):
             # i < 0: flips of single terms; otherwise swaps of the active term i
             if i < 0:
                 flip_gains(p, T, gains)
-                looked_at += spent
-                for j in range(terms):
-                    odds = -gains[j] if current[j] else gains[j]
-                    if odds > -FORGET:
-                        inclusion[j] += spent / (1.0 + math.exp(-odds))
-                    elif gains[j] == -math.inf and current[j]:
-                        inclusion[j] += spent
+                _include(gains, current, spent, inclusion)
             elif current[i]:
                 swap_gains(p, T, i, gains)
             else:
                 continue
             moves += terms
             for j in range(terms):
-                if gains[j] == -math.inf:
-                    continue
-                key = keys[item] ^ zobrist[j]
-                if i >= 0:
-                    key ^= zobrist[i]
                 value = scores[item] + gains[j]
                 if value < top - keep:
                     # met more than once, and so counted: the estimate of what is left out errs upwards
                     if value > top - FORGET:
                         dropped += math.exp(value - reference)
                     continue
-                slot = _find(table, keys, key)
-                if table[slot] >= 0:
-                    continue
-                mass = math.exp(value - reference)
-                if count == room:
-                    frontier += mass
-                    continue
-                table[slot] = count
-                for k in range(terms):
-                    models[count, k] = current[k]
-                models[count, j] = not current[j]
-                if i >= 0:
-                    models[count, i] = False
-                scores[count] = value
-                keys[count] = key
-                _push(heap, size, scores, count)
-                size += 1
-                count += 1
-                top = max(top, value)
-                found += mass
+                key = keys[item] ^ zobrist[j] ^ (zobrist[i] if i >= 0 else np.uint64(0))
+                full = counts[0] == len(models)
+                if _add(listing, current, i, j, key, value):
+                    mass = math.exp(value - reference)
+                    if full:
+                        frontier += mass
+                    else:
+                        found += mass
+                        top = max(top, value)
         total += found
         frontier += found
         recent_found = MEMORY * recent_found + found
@@ -285,10 +305,11 @@ def _search(
         all_found += found
         all_spent += spent
         ratio = max(recent_found / recent_spent, 0.5 * all_found / all_spent, 1e-3)
+    inclusion /= max(looked_at, 1e-300)
     left = dropped
-    if size > 0 or count == room:
+    if counts[1] > 0 or counts[0] == len(models):
         left += CAUTION * frontier * ratio / (1.0 - min(ratio, 0.9))
-    return models[:count], scores[:count], left / (total + left), expanded, inclusion / max(looked_at, 1e-300)
+    return left / (total + left), expanded
 
 
 def search_models(problem: Problem, tolerance: float = 5e-3) -> ModelSet:
@@ -303,13 +324,15 @@ def search_models(problem: Problem, tolerance: float = 5e-3) -> ModelSet:
     values = np.array([value for value, _ in found])
     room = min(FIRST_ROOM, most)
     while True:
-        models, scores, left, expanded, inclusion = _search(problem, starting, values, zobrist, room, tolerance, KEEP)
-        if left <= tolerance or room == most or len(models) < room:
+        listing, inclusion = _listing(room, terms), np.zeros(terms)
+        left, expanded = _search(problem, starting, values, zobrist, listing, tolerance, KEEP, inclusion)
+        count = int(listing.counts[0])
+        if left <= tolerance or room == most or count < room:
             break
         # rarely needed, and cheaper than to clear a large table every time
         room = min(16 * room, most)
-    order = np.argsort(-scores, kind="stable")
-    return ModelSet(models[order], scores[order], float(left), int(expanded), inclusion=inclusion)
+    order = np.argsort(-listing.scores[:count], kind="stable")
+    return ModelSet(listing.models[order], listing.scores[order], left, expanded, inclusion=inclusion)
 
 
 def list_models(problem: Problem, tolerance: float, enumerate_up_to: int = ENUMERATE) -> ModelSet:
