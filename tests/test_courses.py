@@ -42,6 +42,47 @@ def test_an_exact_law_is_found_whatever_its_force_does(kind, noise, course):
         assert abs(p.coef[j] - value) < 5.0 * p.sd[j]
 
 
+@pytest.mark.parametrize("kind", ["hold", "linear"])
+def test_runs_are_driven_by_inputs_as_they_were_found(kind, tmp_path):
+    record, unseen = (commanded(seed, kind) for seed in (1, 2))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", BayeqWarning)
+        eq = bq.discover(record, chains="x:v:a", inputs=["u"])
+        assert eq.verdict.kind == "found"
+        assert eq.data.interpolation == {"u": kind}
+        # of 1 % noise in what they are compared with, and steps of the force that take 1 ms: a spline errs by 13, 22 %
+        assert max(eq.scores.free_run.values()) < 0.04
+        eq.save(tmp_path / "eq.json")
+        again = bq.load(tmp_path / "eq.json")
+        for one in (eq, again):
+            assert max(one.score(unseen, start=0).free_run.values()) < 0.04
+            assert one.simulate(unseen, draws=0).nrmse["x"] < 0.04
+            assert one.simulate(unseen, draws=0, interpolation="cubic").nrmse["x"] > 0.1
+            refined = one.refine(record).refined  # None where its runs are no better
+            assert refined is None or refined.interpolation == kind
+    assert eq.to_dict()["data"]["interpolation"] == {"u": kind}
+    assert f"u between samples: {'held' if kind == 'hold' else 'straight lines'}" in str(eq)
+
+
+def commanded(seed, kind):
+    """A Duffing oscillator with 20 samples a second, 20 a period, and a force that is held or straight between them."""
+    rng = np.random.default_rng(seed)
+    clean = np.convolve(rng.standard_normal(1552), np.ones(3) / 3.0, "valid")[:1500] * 20.0
+    fine = np.arange(50 * 1500 - 49) / 50.0
+    force = clean[fine.astype(int)] if kind == "hold" else np.interp(fine, np.arange(1500), clean)
+    motion = bq.simulate(
+        "duffing",
+        n=len(fine),
+        fs=1000.0,
+        noise=0.0,
+        force=force,
+        parameters={"m": 1.0, "c": 0.6, "k": 40.0, "k3": 60.0},
+    )
+    channels = {name: np.asarray(motion[name])[::50] for name in ("x", "v", "a")}
+    noisy = {name: values + 0.01 * values.std() * rng.standard_normal(1500) for name, values in channels.items()}
+    return bq.Record.from_arrays({**noisy, "u": clean}, fs=20.0)
+
+
 def test_a_force_that_is_smaller_than_the_noise_of_the_input_is_none():
     # noise of u alone: by the model of its course it is as well a force
     record, truth = draw_record("straight", (0.0, 0.0), 4)

@@ -189,8 +189,10 @@ class Question:
         log.collected += first.collected
         step("inference", len(equations), len(equations))
         likelihood = record if found is None else found[1]
-        if likelihood is not None and motion.sensors.lags:
-            motion = replace(motion, sensors=replace(motion.sensors, lags=likelihood.lags))
+        if likelihood is not None:
+            motion = replace(motion, courses=likelihood.courses)
+            if motion.sensors.lags:
+                motion = replace(motion, sensors=replace(motion.sensors, lags=likelihood.lags))
         data = DataSummary.of(pieces, motion, found is not None)
         answer = Equations(
             equations=EquationTuple(with_doubts(equations, selections, self.rules.tolerance or SELECTION.tolerance)),
@@ -359,6 +361,7 @@ class Question:
                 return None
             of_all = design
         if whole is not None:
+            of_all = replace(of_all, motion=replace(of_all.motion, courses=record.courses))
             return of_all, whole.record(record, motion, log)
         found = refit_record(motion.whole, record, of_all.terms, of_all.train)
         return None if found is None else (self._judged(self._at_values(of_all, found), found), found)
@@ -400,8 +403,8 @@ class Question:
     def _judged(self, design: Design, record: RecordFit | None) -> Design:
         """The dictionary on the motion that equations are judged by."""
         motion = design.motion if record is None else record.judged(design.motion)
-        if motion is design.motion:
-            return design
+        if motion.records is design.motion.records:
+            return replace(design, motion=motion)
         judged = build_design(design.terms, motion, allowed=design.allowed)
         return judged if judged.names == design.names else design
 

@@ -12,7 +12,7 @@ import numpy as np
 from bayeq.arrays import Floats
 from bayeq.equation.answer import Answer, EquationTuple
 from bayeq.errors import ConvergenceWarning, DataWarning, InputError
-from bayeq.forecast.rows import check_interpolation
+from bayeq.forecast.rows import Courses, check_interpolation
 from bayeq.forecast.run import Forecast, forecast
 from bayeq.forecast.score import Scores, score_records
 from bayeq.records import Record
@@ -127,8 +127,8 @@ def _static_laws(eq: Answer) -> str:
     return f"{', '.join(chain.target for chain in eq.chains if chain.static)}: static laws"
 
 
-def _between(eq: Answer, interpolation: Interpolation | None) -> Interpolation:
-    return interpolation or (eq.refined.interpolation if eq.refined else "cubic")
+def _between(eq: Answer, interpolation: Interpolation | None) -> Courses:
+    return interpolation or (eq.refined.interpolation if eq.refined else eq.data.interpolation)
 
 
 def refinement(eq: Found, records: Sequence[Record], holdout: float, interpolation: Interpolation | None) -> Found:
@@ -148,6 +148,9 @@ def refinement(eq: Found, records: Sequence[Record], holdout: float, interpolati
     for equation in eq.equations:
         if not equation.shown:
             raise InputError(f"{equation.target}: there are no terms to refine")
+    courses = {eq.data.interpolation.get(name) for name in eq.inputs}
+    if interpolation is None and len(courses) == 1:  # of several inputs that differ, none is taken for all
+        interpolation = courses.pop()
     found = refine(
         eq.dynamics(),
         eq.dynamics([equation.intercept_matters for equation in eq.equations]),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, Self
@@ -18,6 +18,7 @@ from bayeq.export.latex import Uncertainty
 from bayeq.expressions.functions import TIME
 from bayeq.forecast.score import Scores
 from bayeq.likelihood.unknowns import ConstantEstimate
+from bayeq.ode.rk4 import Interpolation
 from bayeq.plan.conditions import Measured
 from bayeq.records import Record, counts_rows
 from bayeq.refine.refine import Refinement
@@ -64,6 +65,9 @@ class DataSummary:
         Frequencies [Hz] between which the equations were to be fitted.
     stretches : int
         Number of stretches of long records that noise levels, verdict and free runs are of; 0 if of all rows.
+    interpolation : mapping of str to str
+        How inputs go between their samples, "linear", "hold" or "band-limited", as the likelihood found it; others are
+        smooth.
     """
 
     files: tuple[str, ...]
@@ -80,6 +84,7 @@ class DataSummary:
     rows_as_time: bool = False
     band: tuple[float, float] | None = None
     stretches: int = 0
+    interpolation: Mapping[str, Interpolation] = field(default_factory=dict)
 
     def of_stretches(self, files: Sequence[str], used: int, held_out: int, stretches: int) -> Self:
         """The summary of all rows, this being that of some stretches of them."""
@@ -120,6 +125,7 @@ class DataSummary:
             seconds=None if rows_as_time or not motion.timed else sum(lengths),
             rows_as_time=rows_as_time,
             band=motion.band,
+            interpolation=motion.courses,
         )
 
 

@@ -176,8 +176,8 @@ class Equations(Answer):
         start, rows : int
             First row, and how many; by default all that follow.
         interpolation : "cubic", "linear", "hold" or "band-limited", optional
-            Inputs between their samples: a cubic spline (by default, unless refined with another), straight lines, the
-            last sample (commands).
+            Inputs between their samples: a cubic spline, straight lines, the last sample (commands); by default as the
+            record was found to have them (``data.interpolation``), else a spline.
 
         Returns
         -------

@@ -49,6 +49,9 @@ FORMS = 0.05
 # What is said of residuals, if it had a smaller probability by chance.
 DOUBTFUL = 1e-3
 
+# How inputs go between samples.
+BETWEEN = {"linear": "straight lines", "hold": "held", "band-limited": "band-limited", "cubic": "smooth"}
+
 
 def escape(text: str) -> str:
     """Text from a file without markup, and without what a terminal would obey."""
@@ -70,6 +73,8 @@ def render(eq: Answer, with_warnings: bool = True, conditional: bool = False) ->
         console.print(f"not measured, estimated by {how}: {escape(', '.join(eq.data.estimated))}")
     for line in given_of(eq):
         console.print(escape(line))
+    for name, kind in eq.data.interpolation.items():
+        console.print(f"{escape(name)} between samples: {BETWEEN[kind]}")
     for message in eq.warnings if with_warnings else ():
         console.print(f"[yellow]warning:[/yellow] {escape(message)}")
     return printed(console)

@@ -17,6 +17,9 @@ from bayeq.ode.rk4 import Drive, Interpolation, interpolant, with_time
 from bayeq.records import Record
 from bayeq.states import ChainSmoothing, Motion, Roles
 
+# How inputs go between samples: all alike, or each by its name, those without a name as "cubic".
+Courses = Interpolation | Mapping[str, Interpolation]
+
 
 @dataclass(frozen=True, eq=False)
 class Rows:
@@ -62,8 +65,9 @@ class Rows:
         return side_by_side(self.columns, names, self.n)
 
 
-def rows_of(motion: Motion, purpose: str, interpolation: Interpolation = "cubic") -> list[Rows]:
-    """All rows of each record of some motion; RecordError for a record without time."""
+def rows_of(motion: Motion, purpose: str, interpolation: Courses | None = None) -> list[Rows]:
+    """All rows of each record of some motion, inputs by default as found; RecordError for a record without time."""
+    interpolation = motion.courses if interpolation is None else interpolation
     roles = motion.roles
     estimated = {
         target: smoothing for k, target in enumerate(roles.targets) if (smoothing := motion.estimated_by(k)) is not None
@@ -84,9 +88,11 @@ def divided(motion: Motion, records: Sequence[Rows]) -> tuple[list[Rows], list[R
     return train, [rows.part(slice(cut, rows.n)) for rows, cut in pairs if cut < rows.n]
 
 
-def between(roles: Roles, time: Floats, columns: Mapping[str, Floats], kind: Interpolation) -> Floats:
+def between(roles: Roles, time: Floats, columns: Mapping[str, Floats], kind: Courses) -> Floats:
     """What drives a run between samples, (n, m, 4): inputs, and t where it is used."""
-    inputs = interpolant(time, side_by_side(columns, roles.inputs, len(time)), kind)
+    kinds = {name: kind if isinstance(kind, str) else kind.get(name, "cubic") for name in roles.inputs}
+    each = [interpolant(time, columns[name][:, None], one) for name, one in kinds.items()]
+    inputs = np.concatenate([np.empty((len(time), 0, 4)), *each], axis=1)
     return with_time(time, inputs) if roles.timed else inputs
 
 
@@ -103,9 +109,9 @@ def require_time(record: Record, purpose: str) -> Floats:
     return record.time
 
 
-def check_interpolation(kind: str | None) -> None:
+def check_interpolation(kind: Courses | None) -> None:
     """Raise an InputError if there is no such interpolation."""
-    if kind is not None and kind not in get_args(Interpolation):
+    if isinstance(kind, str) and kind not in get_args(Interpolation):
         raise InputError(f"interpolation must be one of {', '.join(get_args(Interpolation))}, got {kind!r}")
 
 

@@ -25,6 +25,7 @@ from bayeq.forecast.free_run import (
     state_range,
 )
 from bayeq.forecast.rows import (
+    Courses,
     between,
     check_interpolation,
     normalised_error,
@@ -32,7 +33,7 @@ from bayeq.forecast.rows import (
     rows_of,
     window_of,
 )
-from bayeq.ode.rk4 import Drive, Interpolation
+from bayeq.ode.rk4 import Drive
 from bayeq.records import Record
 from bayeq.states import Sensors, Smooth, estimate_motion, without_lags
 from bayeq.states.prepare import inputs_filled
@@ -133,7 +134,7 @@ def forecast(
     seed: int = 0,
     start: int = 0,
     rows: int | None = None,
-    interpolation: Interpolation = "cubic",
+    interpolation: Courses = "cubic",
     units: Mapping[str, str] | None = None,
 ) -> Forecast:
     """Free run over rows of a record; see `bayeq.Equations.simulate`."""
@@ -148,7 +149,7 @@ def forecast(
     part.require_finite(dynamics.inputs)
     time = time[window]
     inputs = _inputs(dynamics, record, part, window, interpolation)
-    first, low, high = _beginning(dynamics, raw, (smooth, sensors), window, initial)
+    first, low, high = _beginning(dynamics, raw, (smooth, sensors, interpolation), window, initial)
     mean, stopped, drive = mean_run(dynamics, dynamics.mean, first, Drive.over(time, inputs, low, high))
     bottom: Mapping[str, Floats] = {}
     top: Mapping[str, Floats] = {}
@@ -179,7 +180,7 @@ def forecast(
     )
 
 
-def _inputs(dynamics: Dynamics, record: Record, part: Record, window: slice, interpolation: Interpolation) -> Floats:
+def _inputs(dynamics: Dynamics, record: Record, part: Record, window: slice, interpolation: Courses) -> Floats:
     """Inputs between the rows of a window, by what is known of them outside it too; `part` is the window, filled in."""
     whole = all(np.isfinite(record[name]).all() for name in dynamics.inputs)
     source = record if whole else part
@@ -191,7 +192,7 @@ def _inputs(dynamics: Dynamics, record: Record, part: Record, window: slice, int
 def _beginning(
     dynamics: Dynamics,
     record: Record,
-    how: tuple[Smooth, Sensors | None],
+    how: tuple[Smooth, Sensors | None, Courses],
     window: slice,
     initial: Mapping[str, float] | None,
 ) -> tuple[Floats, Floats, Floats]:
@@ -209,8 +210,9 @@ def _beginning(
     rows = None
     # where all channels are measured that the states come from
     if needed and all(name in record.channels for name in dynamics.roles.measured):
-        smooth, sensors = how
-        rows = rows_of(estimate_motion([record], dynamics.roles, smooth, sensors=sensors), "a free run")[0]
+        smooth, sensors, interpolation = how
+        motion = estimate_motion([record], dynamics.roles, smooth, sensors=sensors)
+        (rows,) = rows_of(motion, "a free run", interpolation)
         times = require_time(record, "a free run")
         row = rows.nearest(times[window.start])
         columns = rows.columns

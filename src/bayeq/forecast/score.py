@@ -12,6 +12,7 @@ from bayeq.expressions import Expression
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import fitted_start, mean_run, state_range
 from bayeq.forecast.rows import (
+    Courses,
     Rows,
     check_interpolation,
     divided,
@@ -21,7 +22,6 @@ from bayeq.forecast.rows import (
     rows_of,
     window_of,
 )
-from bayeq.ode.rk4 import Interpolation
 from bayeq.records import Record
 from bayeq.states import Motion, Sensors, Smooth, estimate_motion
 from bayeq.states.roles import NEXT
@@ -137,7 +137,7 @@ def score_records(
     start: int | None,
     rows: int | None,
     share: float,
-    interpolation: Interpolation,
+    interpolation: Courses,
 ) -> Scores:
     """Scores on rows of records; see `bayeq.Equations.score`. Without `start` these are the last ones, a share."""
     check_interpolation(interpolation)

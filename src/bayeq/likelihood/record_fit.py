@@ -42,6 +42,7 @@ from bayeq.likelihood.spike import Nearly, Soft, among_fitted, averaged, of_gram
 from bayeq.likelihood.start import carried_over, series_and_paths, start_from
 from bayeq.likelihood.unequal import with_unequal_noise
 from bayeq.likelihood.unknowns import ConstantEstimate, Forms, first_members, joint_covariance, settled, with_constants
+from bayeq.ode.rk4 import Interpolation
 from bayeq.states import Lag, Motion, with_paths
 
 # Stretches in which long records are searched at first.
@@ -166,6 +167,13 @@ class RecordFit:
     def kappa(self) -> Floats:
         """Standard deviation of each equation's discrepancy as a share of its target's, (C,)."""
         return self.fitted.state.levels.kappa
+
+    @property
+    def courses(self) -> dict[str, Interpolation]:
+        """How inputs go between their samples, where that is not smooth."""
+        layout = self.task.layout
+        pairs = zip(layout.roles.inputs, layout.courses, strict=True)
+        return {name: course for name, course in pairs if course != "smooth" and course != "cubic"}
 
     @property
     def kappa_error(self) -> Floats:
@@ -300,6 +308,7 @@ class RecordFit:
         A derivative that is not measured is taken to be that of the coordinate without its drift, which is slow.
         """
         layout, hidden = self.task.layout, [chain.names[0] for chain in self.task.layout.roles.hidden]
+        motion = replace(motion, courses=self.courses)
         if not (layout.drift or hidden):
             return motion
         motion = with_found_laws(motion, layout.terms)

@@ -12,6 +12,7 @@ from bayeq.arrays import Bools, Floats
 from bayeq.errors import ChainError, RecordError
 from bayeq.expressions.functions import TIME
 from bayeq.expressions.parse import EARLIER
+from bayeq.ode.rk4 import Interpolation
 from bayeq.records import Record, counts_rows
 from bayeq.states.derive import Smooth, derive_states, require_usable
 from bayeq.states.hidden import hidden_columns, hidden_rates
@@ -97,6 +98,8 @@ class Motion:
         What is known of the channels.
     band : (float, float) or None
         Frequencies [Hz] in which the records are believed.
+    courses : mapping of str to str
+        How inputs go between their samples, as the likelihood found it, where that is not smooth.
     """
 
     roles: Roles
@@ -107,6 +110,7 @@ class Motion:
     holdout: float
     sensors: Sensors = field(default_factory=Sensors)
     band: tuple[float, float] | None = None
+    courses: Mapping[str, Interpolation] = field(default_factory=dict)
 
     @cached_property
     def train(self) -> tuple[MotionRows, ...]:
