@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 
 Found = TypeVar("Found", bound=Answer)
 
+# Courses of inputs that output error tries, and those that the likelihood found.
+REFINE_BY: tuple[Interpolation, ...] = ("cubic", "linear", "band-limited")
+
 # Share of the rows that is scored where none were held out.
 LAST = 0.2
 
@@ -148,16 +151,14 @@ def refinement(eq: Found, records: Sequence[Record], holdout: float, interpolati
     for equation in eq.equations:
         if not equation.shown:
             raise InputError(f"{equation.target}: there are no terms to refine")
-    courses = {eq.data.interpolation.get(name) for name in eq.inputs}
-    if interpolation is None and len(courses) == 1:  # of several inputs that differ, none is taken for all
-        interpolation = courses.pop()
+    kinds = [interpolation] if interpolation else [*REFINE_BY, *eq.data.interpolation.values()]
     found = refine(
         eq.dynamics(),
         eq.dynamics([equation.intercept_matters for equation in eq.equations]),
         prepared(records, eq.roles, eq.smooth, eq.warnings, divide=True, level=4),
         smooth=eq.smooth,
         holdout=holdout,
-        interpolation=interpolation,
+        kinds=list(dict.fromkeys(kinds if eq.inputs else ["cubic"])),
         constraints=eq.known(),
         sensors=eq.data.sensors,
     )

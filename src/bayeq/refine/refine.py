@@ -106,7 +106,7 @@ def refine(
     *,
     smooth: Smooth,
     holdout: float,
-    interpolation: Interpolation | None,
+    kinds: Sequence[Interpolation],
     constraints: Sequence[Constraints],
     sensors: Sensors,
 ) -> RefinedEquations | Unrefined:
@@ -114,15 +114,12 @@ def refine(
 
     `before` are the equations by regression, with all intercepts; `dynamics` the same with the intercepts that are
     estimated, the others are set to zero. Constraints are those of each equation. Known noise of channels is not
-    estimated. Where equations are refined, free runs over windows of the rows used are no worse than before; see
-    `runs_are_worse`.
+    estimated. Inputs go between their samples by that of `kinds` that is likeliest. Where equations are refined, free
+    runs over windows of the rows used are no worse than before; see `runs_are_worse`.
 
     InputError: channels that are missing, no time, too few rows, nothing that constraints leave free.
     """
     known = Known.of(dynamics, constraints)
-    kinds: list[Interpolation] = ["cubic", "linear", "band-limited"] if dynamics.inputs else ["cubic"]
-    if interpolation is not None:
-        kinds = [interpolation]
     share = held_out_share(holdout, sum(one.n for one in records))
     measured = motion = estimate_motion(records, dynamics.roles, smooth, share, sensors)
     rows = rows_of(measured, "refine")
