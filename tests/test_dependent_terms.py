@@ -30,3 +30,16 @@ def test_terms_that_hardly_differ_do_not_depend_on_each_other(term: str) -> None
     record = bq.simulate("linear", n=1500, seed=2, noise=0.02)
     (eq,) = bq.discover(record, chains="x:v:a", inputs=["u"], dictionary=["x", "v", "u", term], smooth="none")
     assert "dependent" not in eq.why.values()
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_terms_that_are_hardly_ever_in_together_are_not_shown_together() -> None:
+    # v and v + 0.01 x^2 hardly differ: each has a PIP of a half and more, a model of both 4 %
+    record = bq.simulate("linear", n=1500, seed=2, noise=0.02)
+    dictionary = ["x", "v", "u", "v+0.01*x**2"]
+    (eq,) = bq.discover(record, chains="x:v:a", inputs=["u"], dictionary=dictionary, smooth="none")
+    assert {"v", "v+0.01*x**2"} <= set(eq.included)
+    both = eq.posterior.average.joint_inclusion()[1, 3]
+    assert both < 0.05
+    assert len({"v", "v+0.01*x**2"} & set(eq.shown)) == 1
+    assert list(eq.why.values()) == ["undecided"]

@@ -3,11 +3,11 @@
 The included terms are those with a posterior inclusion probability above 0.5, the median probability model (Barbieri
 and Berger 2004). An equation shows these, with four exceptions, each applied to what the one before it leaves:
 
-1. *dependent*: of a, b and a - b any two say the same, so that each may have a probability of two thirds. The likeliest
-   part of such terms is shown.
-2. *undecided*: collinear terms share their probability, so that none of several forms of damping reaches 0.5, however
-   sure it is that there is damping. Where the included terms do not predict what the model average does, the likeliest
-   model is shown.
+1. *dependent*: of a, b and a - b any two say the same, so that each may have a probability of two thirds, and hardly
+   a model has all three. Of the models of included terms the likeliest is shown.
+2. *undecided*: so it is of terms that are nearly alike, such as x and abs(x) on one side of zero. Collinear terms share
+   their probability, so that none of several forms of damping reaches 0.5, however sure it is that there is damping.
+   Where the included terms do not predict what the model average does, the likeliest model is shown.
 3. *max_terms*: a limit that the user sets. The likeliest model within it is shown.
 4. *tolerance*: of a law that is only nearly true terms are left out one by one, as long as the rest, by a fit of its
    own, runs as well but for a declared tolerance. Where a law is only nearly true, terms that it does not have make up
@@ -188,7 +188,7 @@ def select(fits: Sequence[RegressionFit], rules: Rules, motion: Motion, whole: b
     chosen = [Selection(fit, fit.posterior) for fit in fits]
     if whole:
         return chosen
-    chosen = [_independent(one) for one in chosen]
+    chosen = [_likeliest_part(one) for one in chosen]
     compared = rules.tolerance != 0.0 and all(ENGINES[fit.posterior.method].spike_slab for fit in fits)
     tolerance = rules.tolerance or SELECTION.tolerance
     if compared:
@@ -231,15 +231,16 @@ def hardly_worse(fewer: Errors, whole: Errors, tolerance: float) -> bool:
     return SELECTION.short_run in compared and all(fewer[periods] <= whole[periods] + tolerance for periods in compared)
 
 
-def _independent(one: Selection) -> Selection:
-    """The likeliest part of included terms that depend on each other."""
+def _likeliest_part(one: Selection) -> Selection:
+    """The likeliest model of included terms alone."""
     fit, support, average = one.fit, one.shown.support, one.shown.average
+    parts = None if average is None else average.models[~(average.models & ~support).any(axis=1)]
+    if parts is None or not len(parts) or bool((parts[0] == support).all()):
+        return one
     block = gram_block(fit.problem.columns, np.flatnonzero(support))
     unit = 1.0 / np.sqrt(np.maximum(np.diagonal(block), np.finfo(np.float64).tiny))
-    if average is None or len(unit) < 2 or np.linalg.eigvalsh(block * unit * unit[:, None])[0] > DEPENDENT:
-        return one
-    parts = average.models[~(average.models & ~support).any(axis=1)]
-    return one.given(fit.given(parts[0]), "dependent") if len(parts) else one
+    alike = np.linalg.eigvalsh(block * unit * unit[:, None])[0] > DEPENDENT
+    return one.given(fit.given(parts[0]), "undecided" if alike else "dependent")
 
 
 def _decided(chosen: Sequence[Selection], tolerance: float, runs: FreeRuns | None) -> list[Selection]:
