@@ -14,6 +14,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from threadpoolctl import threadpool_limits
+
 from bayeq.batches.options import Identity, Read, digest, files_of, fixed_terms, question
 from bayeq.batches.result import Batch, BatchFile
 from bayeq.discovery.entry import discover
@@ -31,7 +33,7 @@ from bayeq.errors import (
 from bayeq.records import Record, as_records, read
 from bayeq.resumable import Progress, silent
 from bayeq.resumable.store import Key, ResultStore
-from bayeq.resumable.workers import MAX_JOBS, fill, one_thread
+from bayeq.resumable.workers import MAX_JOBS, fill
 
 #: Stages of a batch: the equation that files have in common, and the files.
 COMMON, FILES = "common equation", "files"
@@ -158,7 +160,7 @@ def run_batch(
     for path in paths:
         if path.exists() and store.exists() and path.samefile(store):
             raise InputError(f"{path}: is the store of the batch and no record; leave it out")
-    with BatchStore(store, make=True) as kept, one_thread():
+    with BatchStore(store, make=True) as kept, threadpool_limits(1):
         shared = _common(kept, paths, options, read, step) if common else None
         used = options if shared is None else fixed_terms(options, shared)
         asked, done = digest(used, read), 0

@@ -37,15 +37,6 @@ LOOK = 0.5
 MAX_JOBS = 512
 
 
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """BLAS in this process with one thread, as in the workers, so that sums are rounded alike."""
-    from threadpoolctl import threadpool_limits
-
-    with threadpool_limits(1):
-        yield
-
-
 def fill(
     store: ResultStore,
     missing: Callable[[], Sequence[Sequence[Key]]],

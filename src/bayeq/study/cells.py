@@ -13,12 +13,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from bayeq.arrays import Floats
 from bayeq.errors import BayeqError, BayeqWarning, whole_number
 from bayeq.expressions import parse
 from bayeq.resumable.store import Key, ResultStore
-from bayeq.resumable.workers import MAX_JOBS, fill, one_thread
+from bayeq.resumable.workers import MAX_JOBS, fill
 
 # The name under which a law holds the constant of an equation.
 CONSTANT = "1"
@@ -97,7 +98,7 @@ def run_cells(
     whole_number("jobs", jobs, 1, MAX_JOBS)
     seeds = range(first_seed, first_seed + records)
     keys = [json.dumps([name, *cell]) for cell in cells]
-    with _Outcomes(store, make=True) as file, one_thread():
+    with _Outcomes(store, make=True) as file, threadpool_limits(1):
         work = partial(_work, measure)
         with closing(fill(file, partial(file.missing, keys, seeds), work, jobs)) as answers:
             for rows, done, total in answers:
@@ -203,3 +204,21 @@ def percent(part: Iterable[bool]) -> str:
     """
     values = list(part)
     return f"{100 * sum(values) / len(values):.1f}" if values else ""
+
+
+def rates_of_verdicts(outcomes: Sequence[Outcome], covering: Sequence[Outcome]) -> dict[str, object]:
+    """How often all equations are found, and one of them wrongly; coverage, of the intervals of some; and the time."""
+    verdicts = [one["verdicts"] for one in outcomes if "verdicts" in one]
+    covered, intervals = (sum(one.get(name, 0) for one in covering) for name in ("covered", "intervals"))
+    return {
+        "found_percent": percent(set(kinds) == {"found"} for kinds in verdicts),
+        "found_and_wrong": sum(one.get("false_found", 0) > 0 for one in outcomes) if verdicts else "",
+        "coverage_percent": f"{100 * covered / intervals:.1f}" if intervals else "",
+        "median_cpu_seconds": f"{np.median([one['cpu'] for one in outcomes]):.2f}",
+    }
+
+
+def wrong_in(outcomes: Sequence[Outcome]) -> str:
+    """What was too much or missed in any of some records."""
+    texts = (text for one in outcomes for text in [one.get("error", ""), *one.get("wrong", [])])
+    return "; ".join(dict.fromkeys(filter(None, texts)))

@@ -11,9 +11,11 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+from threadpoolctl import threadpool_limits
+
 from bayeq.errors import whole_number
 from bayeq.resumable.store import Key
-from bayeq.resumable.workers import AHEAD, MAX_JOBS, fill, one_thread
+from bayeq.resumable.workers import AHEAD, MAX_JOBS, fill
 from bayeq.streaming.cluster import Cluster
 from bayeq.study.config import DEFAULT_ALGORITHMS, STUDY_SYSTEMS, StudyConfig, choose
 from bayeq.study.realise import ALGORITHMS, Task, realise
@@ -86,7 +88,7 @@ def run_study(
     whole_number("jobs", jobs, 1, MAX_JOBS)
     started = time.monotonic()
     cluster = None if client is None else Cluster(client)
-    with Store(store, config) as file, one_thread():
+    with Store(store, config) as file, threadpool_limits(1):
         file.plan(systems, algorithms, realisations)
         missing = partial(file.missing, systems, algorithms, realisations)
         size = 1 if batch is None else whole_number("batch", batch, 1)

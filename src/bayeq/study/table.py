@@ -14,6 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from bayeq.citation import PAPER
+from bayeq.markup import aligned
 from bayeq.study.config import STUDY_SYSTEMS
 from bayeq.study.store import METRICS, Plan, Result, Store
 
@@ -311,14 +312,9 @@ def _printed(paper: Mapping[str, Any], name: str) -> str:
 
 
 def _text(head: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
-    widths = [max(len(line[k]) for line in (head, *lines)) for k in range(len(head))]
     left = [k for k, name in enumerate(head) if name in ("system", "algorithm")]
-
-    def render(line: Sequence[str]) -> str:
-        cells = (c.ljust(w) if k in left else c.rjust(w) for k, (c, w) in enumerate(zip(line, widths, strict=True)))
-        return "  ".join(cells).rstrip()
-
-    return "\n".join([render(head), "  ".join("-" * w for w in widths), *map(render, lines)])
+    rule = ["-" * max(map(len, column)) for column in zip(head, *lines, strict=True)]
+    return "\n".join(aligned([head, rule, *lines], left))
 
 
 def _markdown(head: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
