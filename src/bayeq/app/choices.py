@@ -161,10 +161,7 @@ class Choices:
 def discover_command(files: Sequence[str], choices: Choices) -> list[str]:
     """What finds the equations of one or several records; it writes `EQUATION` and `REPORT` where it is run.
 
-    Raises
-    ------
-    InputError
-        Roles that make no chain.
+    InputError for roles that make no chain.
     """
     words = ["discover", *files, *choices.words]
     for chain in chains_of(choices.roles):

@@ -116,14 +116,8 @@ GRACE = 1
 def serve(file: Path | None, port: int, browser: bool, say: Callable[[str], None]) -> None:
     """Show the page until it is interrupted, on a port of this computer alone (0: a free one).
 
-    A file is opened where it is; `say` is called with the address.
-
-    Raises
-    ------
-    MissingExtraError
-        The framework, or what reports need, is not installed.
-    InputError
-        The file is not there, or the port is in use.
+    A file is opened where it is; `say` is called with the address. MissingExtraError where the framework, or what
+    reports need, is not installed; InputError for a file that is not there, or a port in use.
     """
     _require_extra()
     if file is not None and not file.is_file():

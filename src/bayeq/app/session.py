@@ -71,13 +71,7 @@ class Result:
 
 
 class Workspace:
-    """A folder that only this user can read.
-
-    Attributes
-    ----------
-    path : Path
-        The folder, of mode 0700.
-    """
+    """A folder at `path` that only this user can read."""
 
     def __init__(self) -> None:
         _remove_abandoned()
@@ -93,13 +87,7 @@ class Workspace:
         return folder
 
     def remove(self, folder: Path | None = None) -> None:
-        """Remove a folder in it, or all of it.
-
-        Raises
-        ------
-        ValueError
-            The folder is not in it.
-        """
+        """Remove a folder in it, or all of it; ValueError for a folder that is not in it."""
         folder = folder or self.path
         if folder != self.path and self.path not in folder.parents:
             raise ValueError(f"{folder} is not in {self.path}")
@@ -121,10 +109,8 @@ def _remove_abandoned() -> None:
 class Session:
     """The state of the page, and what can be done with it.
 
-    Attributes
-    ----------
-    changed : callable
-        Called with the parts of the page that are no longer right: "file", "command", "run", "result", "progress".
+    `changed` is called with the parts of the page that are no longer right: "file", "command", "run", "result",
+    "progress".
     """
 
     def __init__(self, workspace: Workspace) -> None:

@@ -140,19 +140,7 @@ def run_batch(
     common: bool = False,
     progress: Progress | None = None,
 ) -> Batch:
-    """`batch` of files that are read in any way.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-        The files.
-    options : mapping
-        Of `discover`.
-    read : callable
-        From a file to what `discover` takes; its `repr` says how.
-    store, jobs, common, progress
-        As in `batch`.
-    """
+    """As `batch`, where `read` turns a file into what `discover` takes; the `repr` of it says how."""
     if not (isinstance(jobs, int) and not isinstance(jobs, bool) and 1 <= jobs <= MAX_JOBS):
         raise InputError(f"jobs is a number of processes, 1 to {MAX_JOBS}, got {jobs!r}")
     step = progress or silent

@@ -139,12 +139,8 @@ def by_name(where: str, texts: Iterable[str], how: str, split: Callable[..., Any
 def named_channels(options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
     """The options of a command with channels by their names, and the paths of those written ``name=path``.
 
-    The paths, by name, are those of every channel that is used; there are none if no channel is written so.
-
-    Raises
-    ------
-    InputError
-        A name that terms cannot use, or one with two paths.
+    The paths, by name, are those of every channel that is used; there are none if no channel is written so. InputError
+    for a name that terms cannot use, or one with two paths.
     """
     named = Names()
     out = dict(options)

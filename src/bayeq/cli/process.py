@@ -58,13 +58,7 @@ def say(text: str) -> None:
 
 
 def require_address_space() -> None:
-    """Refuse a limit that no command can work with; under others one thread, for each takes its share.
-
-    Raises
-    ------
-    BayeqError
-        It says how much there is and how much is needed.
-    """
+    """Refuse a limit that no command can work with (BayeqError); under others use one thread: each takes its share."""
     most = address_space()
     if most is None:
         return

@@ -170,11 +170,8 @@ class Reading:
     ) -> list[Record]:
         """The records of the files; ``-`` is standard input, and channels that are not used need not be numbers.
 
-        Raises
-        ------
-        InputError
-            A file that is named twice or cannot be read, a channel that is not there, a rate that contradicts the file,
-            rows that are not there.
+        InputError for a file that is named twice or cannot be read, a channel that is not there, a rate that
+        contradicts the file, rows that are not there.
         """
         from bayeq.records import with_row_numbers
 

@@ -52,17 +52,9 @@ ANSWER = 5.0
 
 
 class Cluster:
-    """The workers of a cluster.
+    """The workers of a cluster, reached by a dask.distributed.Client.
 
-    Parameters
-    ----------
-    client : dask.distributed.Client
-        The way to them.
-
-    Raises
-    ------
-    InputError
-        Something else, no worker, or workers with another version of bayeq.
+    InputError for something else, no worker, or workers with another version of bayeq.
     """
 
     def __init__(self, client: Any) -> None:
@@ -294,19 +286,10 @@ def _require_workers(client: Any) -> None:
 
 @contextmanager
 def connected(address: str) -> Iterator[Any]:
-    """The client of a cluster.
+    """The client of a cluster, by the address of its scheduler, tcp://host:8786, or the file that it wrote.
 
-    Parameters
-    ----------
-    address : str
-        Of its scheduler, tcp://host:8786, or the file that it wrote (``dask scheduler --scheduler-file``).
-
-    Raises
-    ------
-    InputError
-        Nobody answers.
-    MissingExtraError
-        Dask is not installed.
+    The scheduler writes one with ``dask scheduler --scheduler-file``.
+    InputError where nobody answers; MissingExtraError without Dask.
     """
     try:
         from distributed import Client

@@ -72,26 +72,12 @@ def run_cells(
     jobs: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> Cells:
-    """Measure what a file does not hold of some cells.
+    """Measure the cells of a benchmark that an SQLite file, made if it is not there, does not hold.
 
-    Parameters
-    ----------
-    store : path
-        SQLite file; made if it is not there. Outcomes of several benchmarks may be in one.
-    name : str
-        Of the benchmark.
-    cells : sequence of tuple
-        Text and numbers that say what is measured.
-    measure : callable
-        From a cell and a seed to the outcome, as JSON can hold it; of a module, so that processes can be sent it.
-    records : int
-        Of each cell, with consecutive seeds.
-    first_seed : int
-        Not negative.
-    jobs : int
-        Worker processes.
-    progress : callable, optional
-        Called with (outcomes there, these and the missing ones).
+    Outcomes of several benchmarks may be in one file. A cell is text and numbers that say what is measured; its
+    `records` have consecutive seeds. `measure` turns a cell and a seed into an outcome that JSON can hold; it is a
+    function of a module, for worker processes import it. `progress` is called with (outcomes there, these and the
+    missing ones).
     """
     whole_number("seeds", records, 1, MOST_RECORDS)
     whole_number("seed", first_seed, 0)
@@ -131,22 +117,13 @@ def timed(discover: Callable[[], Any], judge: Callable[[Any], Outcome]) -> Outco
 
 
 def judged(eqs: Any, laws: Sequence[Law] | None) -> Outcome:
-    """An answer beside the true laws.
+    """An answer beside the true laws: coefficients by term of each equation, the constant under `CONSTANT`.
 
-    Parameters
-    ----------
-    eqs : Equations
-        The answer.
-    laws : sequence of mapping of str to float or None
-        Of each equation the coefficients by term, the constant under `CONSTANT`; None where no dictionary holds them.
-
-    Returns
-    -------
-    dict
-        ``verdicts``; with laws also: ``E``, the error of the coefficient matrix in the spectral norm, relative to the
-        true one; ``exact``, whether the included terms of all equations are the true ones; ``wrong``, terms too many
-        and missed; ``false_found``, equations called found that show a false term, or miss a true one that is above its
-        stated bound; ``covered`` of ``intervals``, 95 % intervals of the true terms that are included.
+    Laws are None where no dictionary holds them: then there are ``verdicts`` alone, else also ``E``, the error of the
+    coefficient matrix in the spectral norm, relative to the true one; ``exact``, whether the included terms of all
+    equations are the true ones; ``wrong``, terms too many and missed; ``false_found``, equations called found that show
+    a false term, or miss a true one that is above its stated bound; ``covered`` of ``intervals``, 95 % intervals of the
+    true terms that are included.
     """
     verdicts = [eq.verdict.kind for eq in eqs]
     if laws is None:

@@ -62,13 +62,7 @@ class StudyConfig:
     protocol: int = 1
 
     def validate(self) -> None:
-        """Check what would only fail in every realisation.
-
-        Raises
-        ------
-        InputError
-            A number that is out of range.
-        """
+        """Raise an InputError for a number that is out of range, which would only fail in every realisation."""
         least = {"seed": 0, "train_rows": 3, "test_rows": 1, "chains": 1, "samples": 2, "burn_in": 0}
         for name, lowest in least.items():
             whole_number(name, getattr(self, name), lowest)
@@ -94,14 +88,7 @@ class StudyConfig:
 
 
 def choose(kind: str, names: Iterable[str], known: Iterable[str]) -> tuple[str, ...]:
-    """The names, checked, each once, in the order of `known`.
-
-    Raises
-    ------
-    UnknownNameError
-        A name that is not known.
-    InputError
-        No names.
+    """The names, checked, each once, in the order of `known`; an InputError without names, or for one not known.
 
     Examples
     --------

@@ -90,17 +90,7 @@ def _clean(name: str, seed: int, further: bool = False) -> list[Record]:
 
 
 def draw(name: str, noise: float, seed: int) -> list[Record]:
-    """Noisy trajectories of a system.
-
-    Parameters
-    ----------
-    name : str
-        Of the system.
-    noise : float
-        In per cent.
-    seed : int
-        Draws starts, and noise.
-    """
+    """Noisy trajectories of a system, with noise in per cent; the seed draws the starts and the noise."""
     clean = _clean(name, seed)
     states = clean[0].channels
     size = np.sqrt(np.mean([np.square(one[state]) for one in clean for state in states]))
@@ -216,13 +206,7 @@ def _fits(
 
 
 def cells_of(names: Sequence[str] | None, noises: Sequence[float], methods: Sequence[str]) -> list[Cell]:
-    """The cells of some systems (None: all), noises in per cent, and `METHODS`.
-
-    Raises
-    ------
-    InputError
-        A name that is not known.
-    """
+    """The cells of some systems (None: all), noises in per cent, and `METHODS`; names that are not known are errors."""
     chosen = choose("system", systems() if names is None else names, systems())
     kinds = choose("method", methods, METHODS)
     return [(name, float(noise), method) for name in chosen for noise in noises for method in kinds]

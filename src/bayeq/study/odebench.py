@@ -98,20 +98,9 @@ def _clean(name: str, start: int) -> Record:
 
 
 def draw(name: str, start: int, noise: str, points: float, seed: int) -> Record:
-    """A noisy trajectory.
+    """A noisy trajectory from one of the two initial states.
 
-    Parameters
-    ----------
-    name : str
-        Of the system.
-    start : 0 or 1
-        Which of its initial states.
-    noise : str
-        Of `NOISES`.
-    points : float
-        Share of the points that are kept, the first one always.
-    seed : int
-        Draws noise, and the points.
+    The seed draws the noise, one of `NOISES`, and which share of the points is kept, always with the first.
     """
     clean = _clean(name, start)
     kind, size = noise.split()
@@ -263,10 +252,7 @@ def cells_of(
 ) -> list[Cell]:
     """The cells of some systems (None: all), `NOISES`, shares of the points, `DICTIONARIES` and `METHODS`.
 
-    Raises
-    ------
-    InputError
-        A name that is not known.
+    Names that are not known are errors.
     """
     return [
         (name, start, noise, float(share), dictionary, method)

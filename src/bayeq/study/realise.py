@@ -153,17 +153,7 @@ def _seed(config: StudyConfig, system: str, index: int) -> tuple[int, int, int]:
 
 
 def draw(config: StudyConfig, system: str, index: int) -> Realisation:
-    """Simulate one realisation and form its Gram matrices.
-
-    Parameters
-    ----------
-    config : StudyConfig
-        The study.
-    system : str
-        One of `STUDY_SYSTEMS`.
-    index : int
-        Number of the realisation.
-    """
+    """Simulate a realisation, by its number, of one of `STUDY_SYSTEMS`, and form its Gram matrices."""
     known: System = get_system(system)
     record = simulate(
         known,
