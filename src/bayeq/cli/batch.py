@@ -12,8 +12,8 @@ import click
 
 from bayeq.cli import options as opt
 from bayeq.cli.discover import cleaned, discover, source_of, used_channels
+from bayeq.cli.environment import say
 from bayeq.cli.outputs import Kind, require_output
-from bayeq.cli.process import say
 from bayeq.cli.progress import Progress
 from bayeq.cli.reading import STANDARD_INPUT, Reading
 from bayeq.errors import BayeqError, InputError, InterruptedRun

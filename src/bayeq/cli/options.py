@@ -14,7 +14,7 @@ from typing import Any
 
 import click
 
-from bayeq.cli.process import require_address_space, say
+from bayeq.cli.environment import require_address_space, say
 from bayeq.cli.progress import COMPILING
 from bayeq.errors import InputError
 from bayeq.kernels import announce_compiling

@@ -1,8 +1,6 @@
-"""The command as a process: Ctrl-C at any moment is one line; streams may be closed, and memory limited.
+"""The command as a process of its own: Ctrl-C at any moment is one line, whatever it falls into.
 
 `bayeq.cli.app.main` may be called by other programs, whose handling of signals is theirs; `run` is the process.
-Libraries in C end the process where they get no memory (``ulimit -v``), with words of their own, and those that cannot
-be loaded raise errors about files: a limit below what any command needs is refused before they are loaded.
 """
 
 from __future__ import annotations
@@ -10,18 +8,10 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from contextlib import suppress
-from io import TextIOWrapper
 from types import FrameType
 
-from bayeq.errors import BayeqError
-from bayeq.posix import address_space, alarm, on_signal
-
-# Exit code of an interrupted command, as shells count it.
-INTERRUPTED = 130
-
-# What a discovery takes that compiles its kernels, with one thread: 582 MB, of which 264 MB are in use.
-LEAST = 640
+from bayeq.cli.environment import INTERRUPTED, say
+from bayeq.posix import alarm, on_signal
 
 # Frames of an import have this file name.
 IMPORTING = "<frozen importlib._bootstrap>"
@@ -31,54 +21,6 @@ COMPILERS = ("numba", "llvmlite")
 
 # An interrupt that has to wait is tried again after this time [s].
 PAUSE = 0.02
-
-
-def prepare_streams() -> None:
-    """Make the standard streams safe to write to: every character, and streams that the caller has closed.
-
-    Closed ones are opened on the null device, in the order of their file descriptors: otherwise the next file that is
-    opened takes the place of the stream and receives what is printed. Standard output is opened for reading, so that
-    a result that nobody receives is an error (`io.UnsupportedOperation`).
-    """
-    if sys.stdin is None:
-        sys.stdin = open(os.devnull, encoding="utf-8")  # noqa: SIM115
-    if sys.stdout is None:
-        sys.stdout = open(os.devnull, encoding="utf-8")  # noqa: SIM115
-    if sys.stderr is None:
-        sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, TextIOWrapper):  # a name that the terminal's encoding lacks is no reason to fail
-            stream.reconfigure(errors="backslashreplace")
-
-
-def say(text: str) -> None:
-    """Print a line on standard error, if it can be written to: the work goes on without."""
-    with suppress(OSError):
-        print(text, file=sys.stderr)
-
-
-def require_address_space() -> None:
-    """Refuse a limit that no command can work with (BayeqError); under others use one thread: each takes its share."""
-    most = address_space()
-    if most is None:
-        return
-    if most < LEAST:
-        raise BayeqError(
-            f"not enough memory: this process is limited to {most} MB of address space, and needs {LEAST} MB; raise"
-            f" the limit (ulimit -v {LEAST * 1024})"
-        )
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
-
-def no_memory() -> str:
-    """What to say where memory has run out."""
-    most = address_space()
-    if most is None:
-        return "not enough memory; use fewer samples or fewer terms"
-    return (
-        f"not enough memory: this process is limited to {most} MB of address space; raise the limit (ulimit -v), or use"
-        " fewer samples or fewer terms"
-    )
 
 
 class _Interrupts:

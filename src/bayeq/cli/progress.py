@@ -7,7 +7,7 @@ import threading
 import time as clock
 from typing import Any, Self
 
-from bayeq.cli.process import say
+from bayeq.cli.environment import say
 
 COMPILING = "compiling what runs for the first time after installation: up to a minute ..."
 

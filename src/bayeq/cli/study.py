@@ -9,8 +9,8 @@ from typing import Any, Literal, cast
 
 import click
 
+from bayeq.cli.environment import say
 from bayeq.cli.options import FILE, Command, cluster_client, json_option, number, option
-from bayeq.cli.process import say
 from bayeq.cli.progress import Progress
 from bayeq.errors import InputError, InterruptedRun
 from bayeq.study.config import DEFAULT_ALGORITHMS, STUDY_SYSTEMS, StudyConfig
