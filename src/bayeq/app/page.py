@@ -232,7 +232,8 @@ def choice_steps(session: Session) -> None:
         " file; an offset is subtracted, a number or mean.",
         "note",
     )
-    channels(session, is_several(session.choices.roles))
+    several = any(choice.coordinate > 1 or choice.role == RATE for choice in session.choices.roles.values())
+    channels(session, several)
     heading(3, "What may be in the equation")
     with ui.element("div").classes("fields"):
         text_field("Candidate terms", TERMS_HINT, session.choices, "dictionary").classes("whole")
@@ -409,11 +410,6 @@ def _coordinate(name: str, choice: Choice) -> None:
     made.props["aria-label"] = f"Coordinate of {name}"
     made.bind_value(choice, "coordinate").on_value_change(command_step.refresh)
     made.bind_visibility_from(choice, "role", lambda role: role not in ("", INPUT))
-
-
-def is_several(choices: Mapping[str, Choice]) -> bool:
-    """Whether coordinates need numbers."""
-    return any(choice.coordinate > 1 or choice.role == RATE for choice in choices.values())
 
 
 def _about(channel: Mapping[str, Any]) -> str:

@@ -12,7 +12,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -94,23 +94,17 @@ class Reading:
     @classmethod
     def of(cls, options: dict[str, Any]) -> Self:
         """Take the options about reading out of all of a command; one that is badly written is an InputError."""
-        names = options.pop("names")
-        skip = options.pop("skip")
-        if skip < 0:
-            raise InputError(f"--skip {skip}: give a number of lines, 0 or more")
-        return cls(
-            time=opt.path_of(options.pop("time")),
-            fs=options.pop("fs"),
-            names=None if names is None else [name.strip() for name in names.split(",")],
-            group=opt.path_of(options.pop("group")),
-            join=options.pop("join", False),
-            units=_units(options.pop("units"), options.pop("scales")),
-            skip=skip,
-            rows=_rows(options.pop("rows")),
-            offsets=_offsets(options.pop("offsets", ())),
-            stream=options.pop("stream", None),
-            sheet=options.pop("sheet"),
-        )
+        given = {one.name: options.pop(one.name) for one in fields(cls) if one.name in options}
+        if given["skip"] < 0:
+            raise InputError(f"--skip {given['skip']}: give a number of lines, 0 or more")
+        if given["names"] is not None:
+            given["names"] = [name.strip() for name in given["names"].split(",")]
+        for name in ("time", "group"):
+            given[name] = opt.path_of(given[name])
+        given["units"] = _units(given["units"], options.pop("scales"))
+        given["rows"] = _rows(given["rows"])
+        given["offsets"] = _offsets(given.get("offsets", ()))
+        return cls(**given)
 
     @property
     def of_file(self) -> dict[str, Any]:
