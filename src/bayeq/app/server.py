@@ -17,8 +17,9 @@ from pathlib import Path
 from typing import Any
 
 from bayeq.app.session import LARGEST, Session, Workspace
-from bayeq.errors import InputError, MissingExtraError
+from bayeq.errors import InputError
 from bayeq.posix import POSIX, on_signal
+from bayeq.records.formats.limits import needing
 
 # Of an upload, beside the file [bytes].
 AROUND = 100_000
@@ -199,10 +200,8 @@ def _listening(port: int) -> socket.socket:
 
 def _require_extra() -> None:
     """Check that the page can be shown and a report be made."""
-    try:
+    with needing("nicegui", "app", "the local page"):
         import nicegui  # noqa: F401
-    except ImportError as error:
-        raise MissingExtraError("nicegui", "app", "the local page") from error
     from bayeq.equation.report.page import require_report
 
     require_report()

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from functools import partial
+from functools import partial, reduce
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,9 @@ from bayeq.kernels import announce_compiling
 
 # The group of options that say what is written.
 WRITTEN = "What to write"
+
+#: What adds an option to the function of a command.
+Decorator = Callable[[Any], Any]
 
 # Options that name the channels of an oscillator.
 ROLES = ("displacement", "velocity", "acceleration", "force")
@@ -63,6 +66,12 @@ in_terms = partial(option, group="What may be in the equation")
 sure = partial(option, group="How sure")
 written = partial(option, group=WRITTEN)
 file_written = partial(written, type=FILE)
+
+
+def together(*options: Decorator) -> Decorator:
+    """Several options as one, in this order."""
+    return lambda command: reduce(lambda made, add: add(made), reversed(options), command)
+
 
 json_option = partial(option, "--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
 

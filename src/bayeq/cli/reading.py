@@ -65,11 +65,9 @@ _OTHERS = (
 )
 
 
-def reading_options(command: Callable[..., Any], of_files: bool = False) -> Callable[..., Any]:
-    """Decorate a command with the options about reading, which `Reading.of` takes; or those `of_files` alone."""
-    for add in reversed(_OF_FILES if of_files else (*_OF_FILES, *_OTHERS)):
-        command = add(command)
-    return command
+# Options that `Reading.of` takes: of files alone, and all.
+file_options = opt.together(*_OF_FILES)
+reading_options = opt.together(*_OF_FILES, *_OTHERS)
 
 
 @dataclass(frozen=True, slots=True)

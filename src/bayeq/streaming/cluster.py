@@ -26,8 +26,9 @@ from weakref import WeakValueDictionary
 
 from threadpoolctl import threadpool_limits
 
-from bayeq.errors import BayeqError, InputError, MissingExtraError
+from bayeq.errors import BayeqError, InputError
 from bayeq.records import Record
+from bayeq.records.formats.limits import needing
 from bayeq.records.formats.protocol import parts_between
 from bayeq.records.stream import FileStream
 from bayeq.streaming.partitions import DaskStream, Parts
@@ -291,10 +292,8 @@ def connected(address: str) -> Iterator[Any]:
     The scheduler writes one with ``dask scheduler --scheduler-file``.
     InputError where nobody answers; MissingExtraError without Dask.
     """
-    try:
+    with needing("distributed", "dask", "work on a cluster"):
         from distributed import Client
-    except ImportError:
-        raise MissingExtraError("distributed", "dask", "work on a cluster") from None
     found = _in_file(address)
     try:
         _require_answer(found)

@@ -222,7 +222,7 @@ def summary(done: Cells) -> Iterator[dict[str, object]]:
             yield _line(noise, method, found)
 
 
-def by_system(done: Cells) -> Iterator[dict[str, object]]:
+def each(done: Cells) -> Iterator[dict[str, object]]:
     """A line for every cell, failures first: fewest exact answers, largest E."""
     lines: list[dict[str, object]] = []
     for (name, noise, method), outcomes in zip(done.cells, done.outcomes, strict=True):

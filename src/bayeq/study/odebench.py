@@ -287,7 +287,7 @@ def _about(noise: Any, points: Any, dictionary: Any, method: Any, rests: bool) -
     }
 
 
-def by_record(done: Cells) -> Iterator[dict[str, object]]:
+def each(done: Cells) -> Iterator[dict[str, object]]:
     """A line for every cell, failures first."""
     lines: list[tuple[bool, bool, dict[str, object]]] = []
     for (name, start, noise, points, dictionary, method), outcomes in zip(done.cells, done.outcomes, strict=True):
