@@ -184,14 +184,3 @@ def discover_command(files: Sequence[str], choices: Choices) -> list[str]:
     for line in filter(None, map(str.strip, choices.constraints.splitlines())):
         words += ["--constraint", line]
     return [*words, "--save", EQUATION, "--report", REPORT]
-
-
-def as_typed(words: Sequence[str]) -> str:
-    """A command as a shell takes it.
-
-    Examples
-    --------
-    >>> as_typed(["discover", "run 1.csv", "--chain", "x:v:a"])
-    "bayeq discover 'run 1.csv' --chain x:v:a"
-    """
-    return shlex.join(["bayeq", *words])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Any
 
 from nicegui import background_tasks, ui
 
-from bayeq.app.choices import INPUT, RATE, READING, ROLES, Choice, as_typed
+from bayeq.app.choices import INPUT, RATE, READING, ROLES, Choice
 from bayeq.app.session import LARGEST, LOOKING, Session, safe_name
 from bayeq.equation.report.look import STYLE
 from bayeq.errors import InputError
@@ -242,7 +243,7 @@ def run_status(session: Session) -> None:
 def command_step(session: Session) -> None:
     """The command that is run, as it is chosen now."""
     try:
-        words = as_typed(session.words())
+        words = shlex.join(["bayeq", *session.words()])
     except InputError as error:
         text(f"Not yet: {error}.", "note")
         return

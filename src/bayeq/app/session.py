@@ -14,6 +14,7 @@ import signal
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic
@@ -98,12 +99,9 @@ def _remove_abandoned() -> None:
     """Remove folders of this user whose process was killed, and could not."""
     for folder in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*-*"):
         pid = folder.name.removeprefix(_PREFIX).partition("-")[0]
-        try:
-            if not pid.isdecimal() or not is_of_this_user(folder) or not has_ended(int(pid)):
-                continue
-        except OSError:  # the folder has just gone
-            continue
-        shutil.rmtree(folder, ignore_errors=True)
+        with suppress(OSError):  # the folder has just gone
+            if pid.isdecimal() and is_of_this_user(folder) and has_ended(int(pid)):
+                shutil.rmtree(folder, ignore_errors=True)
 
 
 class Session:
@@ -197,17 +195,15 @@ class Session:
         self.run_error, self.note, self.stopped = "", "", False
         try:
             words = self.words()
-        except InputError as error:
-            self.run_error = str(error)
-            self.changed("run")
-            return
-        try:
             folder = self.workspace.new_folder()
             for k, path in enumerate((self.opened.path, *self.further)):
                 if self.workspace.path in path.parents:  # a name without folders, also in the report
                     (folder / self._name(path, k)).hardlink_to(path)
+        except InputError as error:
+            self.run_error = str(error)
         except OSError as error:
             self.run_error = f"the folder for temporary files cannot be written to: {error.strerror or error}"
+        if self.run_error:
             self.changed("run")
             return
         began = monotonic()
@@ -365,12 +361,9 @@ class Child:
 
     def _signal(self, number: signal.Signals) -> None:
         process = self._process
-        if process is None or process.returncode is not None:
-            return
-        try:
-            signal_group(process, number)
-        except ProcessLookupError:
-            return  # it has just ended
+        if process is not None and process.returncode is None:
+            with suppress(ProcessLookupError):  # it has just ended
+                signal_group(process, number)
 
 
 def _reason(lines: Sequence[str], code: int) -> str:

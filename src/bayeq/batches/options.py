@@ -64,8 +64,6 @@ def _plain(value: object) -> Any:
         return value.tolist()
     if is_dataclass(value) and not isinstance(value, type):
         return asdict(value)
-    if isinstance(value, tuple):
-        return list(value)
     return repr(value)
 
 

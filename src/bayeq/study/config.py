@@ -59,12 +59,10 @@ class StudyConfig:
 
     def differences(self, other: Mapping[str, Any]) -> list[str]:
         """How a stored configuration differs from this one, a text per key."""
-        mine = asdict(self)
-        keys = [*mine, *(key for key in other if key not in mine)]
-        missing = "absent"
+        mine, missing = asdict(self), "absent"
         return [
             f"{key} is {other.get(key, missing)!r} there and {mine.get(key, missing)!r} here"
-            for key in keys
+            for key in {**mine, **other}
             if other.get(key, missing) != mine.get(key, missing)
         ]
 

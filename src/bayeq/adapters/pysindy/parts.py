@@ -168,7 +168,9 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
         """Set `posteriors_` and what follows from them; without gaps the rows are no time series."""
         size, target_size = _sizes(x), _sizes(y)
         Z, T = x / size, y / target_size
-        floors = np.maximum(self._floors(y.shape[1]) / target_size, LEAST_FLOOR)
+        given = 0.0 if self.noise_floor is None else self.noise_floor
+        floors = _of_each("noise_floor", given, y.shape[1], "targets", "a standard deviation, 0 or more")
+        floors = np.maximum(floors / target_size, LEAST_FLOOR)
         varying = [k for k in range(y.shape[1]) if np.any(y[:, k])]
         pieces = None if gaps is None else pieces_of(Z, gaps)
         unseen = LEAST_FLOOR
@@ -240,11 +242,6 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
         # not that of the bins, but of the rows
         left = float(weights @ (y - x @ found.coef) ** 2)
         return replace(found, noise_variance=left / max(float(weights.sum()) - found.support.sum(), 1.0))
-
-    def _floors(self, targets: int) -> Floats:
-        if self.noise_floor is None:
-            return np.zeros(targets)
-        return _of_each("noise_floor", self.noise_floor, targets, "targets", "a standard deviation, 0 or more")
 
     def _check_parameters(self) -> None:
         if self.unbias:
@@ -329,12 +326,8 @@ class KinematicDerivative(BaseDifferentiation):  # type: ignore[misc]
     def _differentiate(self, x: Any, t: ArrayLike = 1) -> Any:
         """Derivatives of samples (n,) or (n, K), in the shape of `x`; `t` is the step of time or the times (n,) [s].
 
-        Raises
-        ------
-        InputError
-            Samples of more than two dimensions, times that do not increase, or a noise level that is not positive.
-        RecordError
-            Samples from which noise cannot be told from motion, as there are too few.
+        InputError for samples of more than two dimensions, times that do not increase, or a noise level that is not
+        positive; RecordError for too few samples to tell noise from motion.
         """
         samples = np.asarray(x, dtype=np.float64)
         if samples.ndim not in (1, 2):
