@@ -6,8 +6,8 @@ Options name channels by ``x``, by a header such as ``Displ. (m)``, or by a path
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from functools import partial, reduce
 from pathlib import Path
 from typing import Any
@@ -76,16 +76,13 @@ def together(*options: Decorator) -> Decorator:
 json_option = partial(option, "--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
 
 
-@contextmanager
-def cluster_client(address: str | None) -> Iterator[Any]:
+def cluster_client(address: str | None) -> AbstractContextManager[Any]:
     """The client of the Dask cluster at an address; None where none is given."""
     if address is None:
-        yield None
-        return
+        return nullcontext()
     from bayeq.streaming.cluster import connected
 
-    with connected(address) as client:
-        yield client
+    return connected(address)
 
 
 class Command(click.Command):

@@ -75,12 +75,10 @@ def choose(kind: str, names: Iterable[str], known: Iterable[str]) -> tuple[str, 
     >>> choose("system", ["duffing", "linear", "duffing"], STUDY_SYSTEMS)
     ('linear', 'duffing')
     """
-    order = tuple(known)
-    wanted = set()
-    for name in names:
+    order, wanted = tuple(known), tuple(names)
+    for name in wanted:
         if name not in order:
             raise UnknownNameError(f"{kind} of the study", name, order)
-        wanted.add(name)
     if not wanted:
         raise InputError(f"no {kind} given; there are: {', '.join(order)}")
     return tuple(name for name in order if name in wanted)
