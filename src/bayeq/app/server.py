@@ -64,6 +64,7 @@ class Guard:
         async def sent(message: Any) -> None:
             """Add the headers that keep the page to itself."""
             if message["type"] == "http.response.start":
+                message.setdefault("headers", [])
                 MutableHeaders(scope=message).update(HEADERS)
             await send(message)
 
