@@ -11,19 +11,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bayeq.arrays import Floats
-from bayeq.errors import InputError
+from bayeq.errors import InputError, MissingExtraError
 from bayeq.inference.posterior import Draws, Posterior
-from bayeq.records.formats.limits import needing
 
 if TYPE_CHECKING:
     import pandas as pd
 
 
 def _arviz(purpose: str) -> Any:
-    with needing("ArviZ", "arviz", purpose), warnings.catch_warnings():
-        # ArviZ announces its refactoring on import
-        warnings.simplefilter("ignore", FutureWarning)
-        import arviz
+    try:
+        with warnings.catch_warnings():
+            # ArviZ announces its refactoring on import
+            warnings.simplefilter("ignore", FutureWarning)
+            import arviz
+    except ImportError as error:
+        raise MissingExtraError("ArviZ", "arviz", purpose) from error
     return arviz
 
 
