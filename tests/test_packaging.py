@@ -20,7 +20,7 @@ VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 LARGEST = 1_500_000
 
 # Of the files of the package.
-SUFFIXES = {".py", ".typed", ".html", ".json"}
+SUFFIXES = {".py", ".typed", ".html", ".json", ".css"}
 
 # `tests/`, `studies/` and the like stay in the repository.
 SHIPPED = {"src", "pyproject.toml", "setup.cfg", "MANIFEST.in", "PKG-INFO", "README.md", "LICENSE"}

@@ -161,10 +161,7 @@ class Choices:
 def discover_command(files: Sequence[str], choices: Choices) -> list[str]:
     """What finds the equations of one or several records; it writes `EQUATION` and `REPORT` where it is run.
 
-    Raises
-    ------
-    InputError
-        Roles that make no chain.
+    InputError for roles that make no chain.
     """
     words = ["discover", *files, *choices.words]
     for chain in chains_of(choices.roles):
@@ -187,14 +184,3 @@ def discover_command(files: Sequence[str], choices: Choices) -> list[str]:
     for line in filter(None, map(str.strip, choices.constraints.splitlines())):
         words += ["--constraint", line]
     return [*words, "--save", EQUATION, "--report", REPORT]
-
-
-def as_typed(words: Sequence[str]) -> str:
-    """A command as a shell takes it.
-
-    Examples
-    --------
-    >>> as_typed(["discover", "run 1.csv", "--chain", "x:v:a"])
-    "bayeq discover 'run 1.csv' --chain x:v:a"
-    """
-    return shlex.join(["bayeq", *words])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Any
 
 from nicegui import background_tasks, ui
 
-from bayeq.app.choices import INPUT, RATE, READING, ROLES, Choice, as_typed
+from bayeq.app.choices import INPUT, RATE, READING, ROLES, Choice
 from bayeq.app.session import LARGEST, LOOKING, Session, safe_name
 from bayeq.equation.report.look import STYLE
 from bayeq.errors import InputError
@@ -45,68 +46,10 @@ TERMS_HINT = (
 
 BLUE, RED = "#0072B2", "#B00020"
 
-# The style sheet: that of the report, and what steps, channels and buttons need beside it.
-SHEET = (
-    STYLE
-    + """
-.q-layout, .q-page-container, .q-page { min-height: 0 !important; }
-.nicegui-content { display: block; padding: 0; }
-.q-field, .q-btn, .q-uploader, .q-checkbox, .q-menu, .q-item { font-family: inherit; }
-.q-btn { font-weight: 600; }
-h1, h2, h3 { font-weight: 700; line-height: 1.3; letter-spacing: normal; }
-.q-field--with-bottom { padding-bottom: .6rem; }
-.q-field__bottom { position: static; transform: none !important; min-height: 0; padding: .2rem .75rem 0;
-  font-size: .85rem; line-height: 1.3; color: #555; }
-.q-checkbox { margin-left: -.5rem; }
-.q-field--dense .q-field__label, .q-field__native { font-size: 1rem; }
-p { margin: .4rem 0; }
-a { color: var(--blue); }
-:focus-visible { outline: 3px solid var(--blue); outline-offset: 2px; }
-.lead { font-size: 1.05rem; max-width: 44rem; }
-.error { border-left: .5rem solid #D50000; background: var(--pale); padding: .5rem 1rem; margin: .7rem 0; }
-.said { border-left: .5rem solid #E69F00; background: var(--pale); padding: .5rem 1rem; margin: .7rem 0; }
-.error p, .said p { margin: .1rem 0; }
-ul { padding-left: 1.2rem; margin: .4rem 0; }
-.drop { width: 100% !important; border: 2px dashed #8a8a8a; border-radius: 6px; box-shadow: none; max-height: 11rem; }
-.drop.q-uploader--dnd { border-color: var(--blue); }
-.drop .q-uploader__header { background: var(--pale); color: var(--ink); }
-.drop .q-uploader__list { display: none; }
-.drop-words { display: flex; flex-wrap: wrap; gap: .6rem 1.5rem; align-items: center; justify-content: space-between;
-  padding: 1rem; }
-.drop-words span:first-child { flex: 1 1 16rem; }
-.drop .q-uploader__dnd { outline: none; }
-.channels { display: grid; grid-template-columns: minmax(5rem, max-content) minmax(9rem, 1fr) 16rem 5.7rem 5.7rem;
-  gap: .2rem .8rem; align-items: center; }
-.channels.several { grid-template-columns: minmax(5rem, max-content) minmax(7rem, 1fr) 16rem 5.7rem 5.7rem 6.5rem; }
-.channels > * { min-width: 0; }
-.channel-name { font-weight: 600; }
-.channel-about { font-size: .9rem; color: #444; }
-.fields { width: 100%; display: grid; grid-template-columns: repeat(3, 1fr); gap: .2rem 1.2rem; }
-.fields .whole { grid-column: 1 / -1; }
-.command span { display: inline-block; max-width: 100%; vertical-align: top; }
-.buttons { display: flex; flex-wrap: wrap; gap: .8rem; align-items: center; margin: .6rem 0; }
-.button-like { border: 1px solid var(--blue); border-radius: 4px; padding: .35rem .9rem; text-decoration: none;
-  font-weight: 600; }
-.button-like:hover { background: var(--pale); }
-.report { border: 0; display: block; width: calc(100% + 2.4rem); margin: .5rem -1.2rem 0; min-height: 30rem; }
-.more .q-item { padding-left: 0; }
-.q-linear-progress { margin: .6rem 0; }
-@media (max-width: 40rem) {
-  .channels, .channels.several { grid-template-columns: repeat(6, 1fr); gap: .3rem .6rem; }
-  .channels > * { grid-column: span 3; }
-  .channels.several > * { grid-column: span 2; }
-  .channels > :is(.channel-name, .channel-about, .q-select.role) { grid-column: 1 / -1; }
-  .channels .channel-name { margin-top: .9rem; }
-  .fields { grid-template-columns: 1fr; }
-  .report { width: calc(100% + 1.6rem); margin: .5rem -.8rem 0; }
-}
-"""
-)
-
 
 def build(session: Session) -> None:
     """The page, as it is now."""
-    ui.add_css(SHEET)
+    ui.add_css(STYLE + Path(__file__).with_name("page.css").read_text(encoding="utf-8"))
     ui.colors(primary=BLUE, negative=RED)
     with ui.element("div"):  # the framework puts it into the main element
         ui.html("bayeq", tag="h1", sanitize=False)
@@ -232,7 +175,8 @@ def choice_steps(session: Session) -> None:
         " file; an offset is subtracted, a number or mean.",
         "note",
     )
-    channels(session, is_several(session.choices.roles))
+    several = any(choice.coordinate > 1 or choice.role == RATE for choice in session.choices.roles.values())
+    channels(session, several)
     heading(3, "What may be in the equation")
     with ui.element("div").classes("fields"):
         text_field("Candidate terms", TERMS_HINT, session.choices, "dictionary").classes("whole")
@@ -299,7 +243,7 @@ def run_status(session: Session) -> None:
 def command_step(session: Session) -> None:
     """The command that is run, as it is chosen now."""
     try:
-        words = as_typed(session.words())
+        words = shlex.join(["bayeq", *session.words()])
     except InputError as error:
         text(f"Not yet: {error}.", "note")
         return
@@ -409,11 +353,6 @@ def _coordinate(name: str, choice: Choice) -> None:
     made.props["aria-label"] = f"Coordinate of {name}"
     made.bind_value(choice, "coordinate").on_value_change(command_step.refresh)
     made.bind_visibility_from(choice, "role", lambda role: role not in ("", INPUT))
-
-
-def is_several(choices: Mapping[str, Choice]) -> bool:
-    """Whether coordinates need numbers."""
-    return any(choice.coordinate > 1 or choice.role == RATE for choice in choices.values())
 
 
 def _about(channel: Mapping[str, Any]) -> str:

@@ -13,14 +13,13 @@ import socket
 import tempfile
 import webbrowser
 from collections.abc import Callable
-from http.cookies import CookieError, SimpleCookie
 from pathlib import Path
 from typing import Any
-from urllib.parse import parse_qs
 
 from bayeq.app.session import LARGEST, Session, Workspace
-from bayeq.errors import InputError, MissingExtraError
+from bayeq.errors import InputError
 from bayeq.posix import POSIX, on_signal
+from bayeq.records.formats.limits import needing
 
 # Of an upload, beside the file [bytes].
 AROUND = 100_000
@@ -54,78 +53,57 @@ class Guard:
 
     async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
         """Answer a request, or hand it on."""
+        from starlette.datastructures import MutableHeaders
+        from starlette.requests import HTTPConnection
+        from starlette.responses import PlainTextResponse, RedirectResponse
+
         if scope["type"] not in ("http", "websocket"):
             await self.app(scope, receive, send)
             return
-        headers = {name.decode("latin-1").lower(): value.decode("latin-1") for name, value in scope["headers"]}
-        refusal = self._refusal(scope, headers)
-        if refusal is not None:
-            await _answer(scope, send, *refusal)
-        elif scope["type"] == "http" and scope["path"] == "/" and self._has(_asked(scope)):
-            cookie = f"{self.cookie}={self.token}; Path=/; HttpOnly; SameSite=Lax"
-            await _answer(scope, send, 303, "the page", {"Location": "/", "Set-Cookie": cookie})
-        else:
-            await self.app(scope, receive, _with_headers(send))
 
-    def _refusal(self, scope: Any, headers: dict[str, str]) -> tuple[int, str] | None:
+        async def sent(message: Any) -> None:
+            """Add the headers that keep the page to itself."""
+            if message["type"] == "http.response.start":
+                message.setdefault("headers", [])
+                MutableHeaders(scope=message).update(HEADERS)
+            await send(message)
+
+        request = HTTPConnection(scope)
+        refusal = self._refusal(scope, request)
+        if refusal is not None and scope["type"] == "websocket":
+            await send({"type": "websocket.close", "code": 1008, "reason": refusal[1][:100]})
+        elif refusal is not None:
+            code, words = refusal
+            await PlainTextResponse(f"bayeq app: {words}\n", code)(scope, receive, sent)
+        elif scope["type"] == "http" and self._is_first(request):
+            cookie = f"{self.cookie}={self.token}; Path=/; HttpOnly; SameSite=Lax"
+            await RedirectResponse("/", 303, {"Set-Cookie": cookie})(scope, receive, sent)
+        else:
+            await self.app(scope, receive, sent)
+
+    def _refusal(self, scope: Any, request: Any) -> tuple[int, str] | None:
         """Code and words for a request that is refused."""
-        if headers.get("host") != self.host:
+        if request.headers.get("host") != self.host:
             return 421, f"this page answers to {self.host} only"
-        origin = headers.get("origin")
+        origin = request.headers.get("origin")
         if (origin is not None or scope["type"] == "websocket") and origin != f"http://{self.host}":
             return 403, "this page answers to itself only"
-        if not self._has(_cookie(headers, self.cookie)) and not (scope["path"] == "/" and self._has(_asked(scope))):
+        if not self._is_token(request.cookies.get(self.cookie, "")) and not self._is_first(request):
             return 403, "open the address that bayeq app has printed: it holds the token of the page"
         if scope.get("method") in ("POST", "PUT", "PATCH"):
-            length = headers.get("content-length", "")
+            length = request.headers.get("content-length", "")
             if not length.isdecimal():
                 return 411, "the length of what is sent is missing"
             if int(length) > LARGEST + AROUND:
                 return 413, f"more than {LARGEST // 1_000_000} MB; open the file by bayeq app FILE"
         return None
 
-    def _has(self, token: str) -> bool:
-        return hmac.compare_digest(token.encode(), self.token.encode())
+    def _is_first(self, request: Any) -> bool:
+        """Whether the address is that which was printed."""
+        return request.scope["path"] == "/" and self._is_token(request.query_params.get("token", ""))
 
-
-def _asked(scope: Any) -> str:
-    """The token in the address."""
-    return parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
-
-
-def _cookie(headers: dict[str, str], name: str) -> str:
-    """The token in a cookie."""
-    try:
-        found = SimpleCookie(headers.get("cookie", "")).get(name)
-    except CookieError:
-        return ""
-    return found.value if found is not None else ""
-
-
-async def _answer(scope: Any, send: Any, code: int, words: str, headers: dict[str, str] | None = None) -> None:
-    """A short answer; a websocket is closed."""
-    if scope["type"] == "websocket":
-        await send({"type": "websocket.close", "code": 1008, "reason": words[:100]})
-        return
-    body = f"bayeq app: {words}\n".encode()
-    fields = {"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(body)), **(headers or {})}
-    await send({"type": "http.response.start", "status": code, "headers": _encoded({**HEADERS, **fields})})
-    await send({"type": "http.response.body", "body": body})
-
-
-def _with_headers(send: Any) -> Any:
-    """Add the headers that keep the page to itself."""
-
-    async def sent(message: Any) -> None:
-        if message["type"] == "http.response.start":
-            message["headers"] = [*message.get("headers", ()), *_encoded(HEADERS)]
-        await send(message)
-
-    return sent
-
-
-def _encoded(headers: dict[str, str]) -> list[tuple[bytes, bytes]]:
-    return [(name.lower().encode("latin-1"), value.encode("latin-1")) for name, value in headers.items()]
+    def _is_token(self, text: str) -> bool:
+        return hmac.compare_digest(text.encode(), self.token.encode())
 
 
 # --- the server ------------------------------------------------------------------------------------------------------
@@ -140,14 +118,8 @@ GRACE = 1
 def serve(file: Path | None, port: int, browser: bool, say: Callable[[str], None]) -> None:
     """Show the page until it is interrupted, on a port of this computer alone (0: a free one).
 
-    A file is opened where it is; `say` is called with the address.
-
-    Raises
-    ------
-    MissingExtraError
-        The framework, or what reports need, is not installed.
-    InputError
-        The file is not there, or the port is in use.
+    A file is opened where it is; `say` is called with the address. MissingExtraError where the framework, or what
+    reports need, is not installed; InputError for a file that is not there, or a port in use.
     """
     _require_extra()
     if file is not None and not file.is_file():
@@ -229,10 +201,8 @@ def _listening(port: int) -> socket.socket:
 
 def _require_extra() -> None:
     """Check that the page can be shown and a report be made."""
-    try:
+    with needing("nicegui", "app", "the local page"):
         import nicegui  # noqa: F401
-    except ImportError as error:
-        raise MissingExtraError("nicegui", "app", "the local page") from error
     from bayeq.equation.report.page import require_report
 
     require_report()

@@ -14,6 +14,7 @@ import signal
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic
@@ -71,13 +72,7 @@ class Result:
 
 
 class Workspace:
-    """A folder that only this user can read.
-
-    Attributes
-    ----------
-    path : Path
-        The folder, of mode 0700.
-    """
+    """A folder at `path` that only this user can read."""
 
     def __init__(self) -> None:
         _remove_abandoned()
@@ -93,13 +88,7 @@ class Workspace:
         return folder
 
     def remove(self, folder: Path | None = None) -> None:
-        """Remove a folder in it, or all of it.
-
-        Raises
-        ------
-        ValueError
-            The folder is not in it.
-        """
+        """Remove a folder in it, or all of it; ValueError for a folder that is not in it."""
         folder = folder or self.path
         if folder != self.path and self.path not in folder.parents:
             raise ValueError(f"{folder} is not in {self.path}")
@@ -110,21 +99,16 @@ def _remove_abandoned() -> None:
     """Remove folders of this user whose process was killed, and could not."""
     for folder in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*-*"):
         pid = folder.name.removeprefix(_PREFIX).partition("-")[0]
-        try:
-            if not pid.isdecimal() or not is_of_this_user(folder) or not has_ended(int(pid)):
-                continue
-        except OSError:  # the folder has just gone
-            continue
-        shutil.rmtree(folder, ignore_errors=True)
+        with suppress(OSError):  # the folder has just gone
+            if pid.isdecimal() and is_of_this_user(folder) and has_ended(int(pid)):
+                shutil.rmtree(folder, ignore_errors=True)
 
 
 class Session:
     """The state of the page, and what can be done with it.
 
-    Attributes
-    ----------
-    changed : callable
-        Called with the parts of the page that are no longer right: "file", "command", "run", "result", "progress".
+    `changed` is called with the parts of the page that are no longer right: "file", "command", "run", "result",
+    "progress".
     """
 
     def __init__(self, workspace: Workspace) -> None:
@@ -211,17 +195,15 @@ class Session:
         self.run_error, self.note, self.stopped = "", "", False
         try:
             words = self.words()
-        except InputError as error:
-            self.run_error = str(error)
-            self.changed("run")
-            return
-        try:
             folder = self.workspace.new_folder()
             for k, path in enumerate((self.opened.path, *self.further)):
                 if self.workspace.path in path.parents:  # a name without folders, also in the report
                     (folder / self._name(path, k)).hardlink_to(path)
+        except InputError as error:
+            self.run_error = str(error)
         except OSError as error:
             self.run_error = f"the folder for temporary files cannot be written to: {error.strerror or error}"
+        if self.run_error:
             self.changed("run")
             return
         began = monotonic()
@@ -379,12 +361,9 @@ class Child:
 
     def _signal(self, number: signal.Signals) -> None:
         process = self._process
-        if process is None or process.returncode is not None:
-            return
-        try:
-            signal_group(process, number)
-        except ProcessLookupError:
-            return  # it has just ended
+        if process is not None and process.returncode is None:
+            with suppress(ProcessLookupError):  # it has just ended
+                signal_group(process, number)
 
 
 def _reason(lines: Sequence[str], code: int) -> str:

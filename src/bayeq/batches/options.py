@@ -33,13 +33,7 @@ _WIDE = 1e8
 
 
 def question(options: Mapping[str, Any]) -> Question:
-    """The question that is put to each file, of the options of `discover`.
-
-    Raises
-    ------
-    InputError
-        An option that `discover` does not have or refuses.
-    """
+    """The question that is put to each file; InputError for an option that `discover` does not have or refuses."""
     parameters = inspect.signature(discover).parameters
     known = {name: one.default for name, one in parameters.items() if name not in _BESIDE}
     for name in options:
@@ -70,18 +64,13 @@ def _plain(value: object) -> Any:
         return value.tolist()
     if is_dataclass(value) and not isinstance(value, type):
         return asdict(value)
-    if isinstance(value, tuple):
-        return list(value)
     return repr(value)
 
 
 def fixed_terms(options: Mapping[str, Any], common: Mapping[str, Any]) -> dict[str, Any]:
     """The options of `discover` for one file with the terms of the `common` equation, as it is saved, and no others.
 
-    Raises
-    ------
-    InputError
-        An equation without terms.
+    InputError for an equation without terms.
     """
     terms = {
         one["target"]: [_with_ranges(t["name"], one) for t in one["terms"] if t["shown"]] for one in common["equations"]
@@ -135,13 +124,7 @@ class Identity:
 
     @classmethod
     def of(cls, path: Path) -> Self:
-        """That of a file as it is now.
-
-        Raises
-        ------
-        OSError
-            It cannot be read.
-        """
+        """That of a file as it is now; OSError if it cannot be read."""
         with without_sheet(path)[0].open("rb") as file:
             state = os.fstat(file.fileno())
             return cls(state.st_size, state.st_mtime_ns, hashlib.file_digest(file, "sha256").hexdigest())
@@ -160,12 +143,7 @@ class Identity:
 def files_of(sources: Sequence[str | os.PathLike[str]]) -> tuple[Path, ...]:
     """The files, and those of each folder whose suffix is that of a known format, in the order of their numbers.
 
-    Raises
-    ------
-    FileFormatError
-        A folder without such files.
-    InputError
-        No files, or one that is named twice.
+    InputError for a folder without such files, no files at all, or one that is named twice.
     """
     paths = [as_path(source, "each of the files") for source in sources]
     for path in paths:

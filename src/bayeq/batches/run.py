@@ -14,6 +14,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from threadpoolctl import threadpool_limits
+
 from bayeq.batches.options import Identity, Read, digest, files_of, fixed_terms, question
 from bayeq.batches.result import Batch, BatchFile
 from bayeq.discovery.entry import discover
@@ -31,7 +33,7 @@ from bayeq.errors import (
 from bayeq.records import Record, as_records, read
 from bayeq.resumable import Progress, silent
 from bayeq.resumable.store import Key, ResultStore
-from bayeq.resumable.workers import MAX_JOBS, fill, one_thread
+from bayeq.resumable.workers import MAX_JOBS, fill
 
 #: Stages of a batch: the equation that files have in common, and the files.
 COMMON, FILES = "common equation", "files"
@@ -138,19 +140,7 @@ def run_batch(
     common: bool = False,
     progress: Progress | None = None,
 ) -> Batch:
-    """`batch` of files that are read in any way.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-        The files.
-    options : mapping
-        Of `discover`.
-    read : callable
-        From a file to what `discover` takes; its `repr` says how.
-    store, jobs, common, progress
-        As in `batch`.
-    """
+    """As `batch`, where `read` turns a file into what `discover` takes; the `repr` of it says how."""
     if not (isinstance(jobs, int) and not isinstance(jobs, bool) and 1 <= jobs <= MAX_JOBS):
         raise InputError(f"jobs is a number of processes, 1 to {MAX_JOBS}, got {jobs!r}")
     step = progress or silent
@@ -158,7 +148,7 @@ def run_batch(
     for path in paths:
         if path.exists() and store.exists() and path.samefile(store):
             raise InputError(f"{path}: is the store of the batch and no record; leave it out")
-    with BatchStore(store, make=True) as kept, one_thread():
+    with BatchStore(store, make=True) as kept, threadpool_limits(1):
         shared = _common(kept, paths, options, read, step) if common else None
         used = options if shared is None else fixed_terms(options, shared)
         asked, done = digest(used, read), 0

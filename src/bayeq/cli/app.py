@@ -10,7 +10,6 @@ import json
 import os
 import sys
 import warnings
-from functools import partial
 from io import UnsupportedOperation
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,12 +18,11 @@ import click
 from click.shell_completion import get_completion_class, shell_complete
 
 from bayeq.cli.batch import batch
-from bayeq.cli.benchmark import benchmark
 from bayeq.cli.discover import discover
 from bayeq.cli.environment import INTERRUPTED, no_memory, prepare_streams, say
 from bayeq.cli.options import FILE, Command, Names, json_option, measured, option
-from bayeq.cli.reading import Reading, reading_options
-from bayeq.cli.saved import plan, predict, show
+from bayeq.cli.reading import Reading, file_options
+from bayeq.cli.saved import benchmark, plan, predict, show
 from bayeq.cli.study import study
 from bayeq.errors import (
     FULL,
@@ -67,7 +65,7 @@ def app(context: click.Context, version: bool, cite: bool) -> None:
 
 @click.command(cls=Command)
 @click.argument("files", metavar="FILE...", nargs=-1, required=True, type=FILE)
-@partial(reading_options, of_files=True)
+@file_options
 @measured(
     "--channel", "channels", multiple=True, help="Channel that is read, x or name=path. Once per channel; else all."
 )

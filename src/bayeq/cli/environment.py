@@ -28,12 +28,9 @@ def prepare_streams() -> None:
     opened takes the place of the stream and receives what is printed. Standard output is opened for reading, so that
     a result that nobody receives is an error (`io.UnsupportedOperation`).
     """
-    if sys.stdin is None:
-        sys.stdin = open(os.devnull, encoding="utf-8")  # noqa: SIM115
-    if sys.stdout is None:
-        sys.stdout = open(os.devnull, encoding="utf-8")  # noqa: SIM115
-    if sys.stderr is None:
-        sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
+    for name, mode in (("stdin", "r"), ("stdout", "r"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):  # a name that the terminal's encoding lacks is no reason to fail
             stream.reconfigure(errors="backslashreplace")
@@ -46,13 +43,7 @@ def say(text: str) -> None:
 
 
 def require_address_space() -> None:
-    """Refuse a limit that no command can work with; under others one thread, for each takes its share.
-
-    Raises
-    ------
-    BayeqError
-        It says how much there is and how much is needed.
-    """
+    """Refuse a limit that no command can work with (BayeqError); under others use one thread: each takes its share."""
     most = address_space()
     if most is None:
         return

@@ -6,9 +6,9 @@ Options name channels by ``x``, by a header such as ``Displ. (m)``, or by a path
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
-from functools import partial
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import AbstractContextManager, nullcontext
+from functools import partial, reduce
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,9 @@ from bayeq.kernels import announce_compiling
 
 # The group of options that say what is written.
 WRITTEN = "What to write"
+
+#: What adds an option to the function of a command.
+Decorator = Callable[[Any], Any]
 
 # Options that name the channels of an oscillator.
 ROLES = ("displacement", "velocity", "acceleration", "force")
@@ -64,19 +67,22 @@ sure = partial(option, group="How sure")
 written = partial(option, group=WRITTEN)
 file_written = partial(written, type=FILE)
 
+
+def together(*options: Decorator) -> Decorator:
+    """Several options as one, in this order."""
+    return lambda command: reduce(lambda made, add: add(made), reversed(options), command)
+
+
 json_option = partial(option, "--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
 
 
-@contextmanager
-def cluster_client(address: str | None) -> Iterator[Any]:
+def cluster_client(address: str | None) -> AbstractContextManager[Any]:
     """The client of the Dask cluster at an address; None where none is given."""
     if address is None:
-        yield None
-        return
+        return nullcontext()
     from bayeq.streaming.cluster import connected
 
-    with connected(address) as client:
-        yield client
+    return connected(address)
 
 
 class Command(click.Command):
@@ -139,12 +145,8 @@ def by_name(where: str, texts: Iterable[str], how: str, split: Callable[..., Any
 def named_channels(options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
     """The options of a command with channels by their names, and the paths of those written ``name=path``.
 
-    The paths, by name, are those of every channel that is used; there are none if no channel is written so.
-
-    Raises
-    ------
-    InputError
-        A name that terms cannot use, or one with two paths.
+    The paths, by name, are those of every channel that is used; there are none if no channel is written so. InputError
+    for a name that terms cannot use, or one with two paths.
     """
     named = Names()
     out = dict(options)

@@ -53,11 +53,8 @@ class Outputs:
     def check(self, files: Sequence[Path], options: Mapping[str, Any], as_json: bool = False) -> None:
         """Refuse, before the work, what could not be done after it; `files` are the records that are read.
 
-        Raises
-        ------
-        InputError, MissingExtraError
-            A file that cannot be written, is one of the records or is named twice; a method or an order that does not
-            go with what is asked for.
+        InputError for a file that cannot be written, is one of the records or is named twice, or for a method or an
+        order that does not go with what is asked for; MissingExtraError for what is not installed.
         """
         if self.explain and as_json:
             raise InputError("--explain explains the text, and --json prints none; leave one of them out")
@@ -105,12 +102,8 @@ class Outputs:
     ) -> None:
         """Print the equations, then write the files; `files`, those that were read, come with their state before.
 
-        Each is done whatever becomes of the others: what was found is printed although a file cannot be written.
-
-        Raises
-        ------
-        InputError
-            Files that could not be written, and why.
+        Each is done whatever becomes of the others: what was found is printed although a file cannot be written, which
+        is an InputError at the end.
         """
         if self.refine:
             progress("refining", 0, 1)

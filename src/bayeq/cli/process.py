@@ -93,7 +93,3 @@ def run() -> int:
         return INTERRUPTED
     finally:
         interrupts.finish()
-
-
-if __name__ == "__main__":
-    sys.exit(run())

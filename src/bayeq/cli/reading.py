@@ -12,7 +12,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -65,11 +65,9 @@ _OTHERS = (
 )
 
 
-def reading_options(command: Callable[..., Any], of_files: bool = False) -> Callable[..., Any]:
-    """Decorate a command with the options about reading, which `Reading.of` takes; or those `of_files` alone."""
-    for add in reversed(_OF_FILES if of_files else (*_OF_FILES, *_OTHERS)):
-        command = add(command)
-    return command
+# Options that `Reading.of` takes: of files alone, and all.
+file_options = opt.together(*_OF_FILES)
+reading_options = opt.together(*_OF_FILES, *_OTHERS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,23 +92,17 @@ class Reading:
     @classmethod
     def of(cls, options: dict[str, Any]) -> Self:
         """Take the options about reading out of all of a command; one that is badly written is an InputError."""
-        names = options.pop("names")
-        skip = options.pop("skip")
-        if skip < 0:
-            raise InputError(f"--skip {skip}: give a number of lines, 0 or more")
-        return cls(
-            time=opt.path_of(options.pop("time")),
-            fs=options.pop("fs"),
-            names=None if names is None else [name.strip() for name in names.split(",")],
-            group=opt.path_of(options.pop("group")),
-            join=options.pop("join", False),
-            units=_units(options.pop("units"), options.pop("scales")),
-            skip=skip,
-            rows=_rows(options.pop("rows")),
-            offsets=_offsets(options.pop("offsets", ())),
-            stream=options.pop("stream", None),
-            sheet=options.pop("sheet"),
-        )
+        given = {one.name: options.pop(one.name) for one in fields(cls) if one.name in options}
+        if given["skip"] < 0:
+            raise InputError(f"--skip {given['skip']}: give a number of lines, 0 or more")
+        if given["names"] is not None:
+            given["names"] = [name.strip() for name in given["names"].split(",")]
+        for name in ("time", "group"):
+            given[name] = opt.path_of(given[name])
+        given["units"] = _units(given["units"], options.pop("scales"))
+        given["rows"] = _rows(given["rows"])
+        given["offsets"] = _offsets(given.get("offsets", ()))
+        return cls(**given)
 
     @property
     def of_file(self) -> dict[str, Any]:
@@ -170,11 +162,8 @@ class Reading:
     ) -> list[Record]:
         """The records of the files; ``-`` is standard input, and channels that are not used need not be numbers.
 
-        Raises
-        ------
-        InputError
-            A file that is named twice or cannot be read, a channel that is not there, a rate that contradicts the file,
-            rows that are not there.
+        InputError for a file that is named twice or cannot be read, a channel that is not there, a rate that
+        contradicts the file, rows that are not there.
         """
         from bayeq.records import with_row_numbers
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal, cast
@@ -10,12 +9,14 @@ from typing import Any, Literal, cast
 import click
 
 from bayeq.cli.environment import say
-from bayeq.cli.options import FILE, Command, cluster_client, json_option, number, option
+from bayeq.cli.options import FILE, Command, cluster_client, json_option, number, option, together
 from bayeq.cli.progress import Progress
 from bayeq.errors import InputError, InterruptedRun
 from bayeq.study.config import DEFAULT_ALGORITHMS, STUDY_SYSTEMS, StudyConfig
 
-SYSTEMS = ",".join(STUDY_SYSTEMS)
+# Options that several commands have.
+_systems = option("--systems", default=",".join(STUDY_SYSTEMS), help="Systems, separated by commas.")
+_jobs = option("--jobs", type=int, default=2, help="Worker processes; the results do not depend on it.")
 
 
 @click.group(invoke_without_command=True)
@@ -28,7 +29,7 @@ def study(context: click.Context) -> None:
 
 @study.command(cls=Command)
 @option("--realisations", type=int, default=1000, help="Realisations of each system.")
-@option("--jobs", type=int, default=2, help="Worker processes; the results do not depend on it.")
+@_jobs
 @option(
     "--dask",
     metavar="ADDRESS",
@@ -38,7 +39,7 @@ def study(context: click.Context) -> None:
 @option(
     "--store", type=FILE, default=Path("study.db"), help="File of results; a study that was stopped continues in it."
 )
-@option("--systems", default=SYSTEMS, help="Systems, separated by commas.")
+@_systems
 @option("--algorithms", default=",".join(DEFAULT_ALGORITHMS), help="Algorithms, separated by commas.")
 @option(
     "--smooth",
@@ -115,7 +116,7 @@ def show(store: Path, form: Literal["text", "markdown", "csv"], as_json: bool, t
 @study.command(cls=Command)
 @click.argument("folder", type=FILE, default=Path("figures"))
 @option("--seed", type=int, default=0, help="Seed of the realisation that is drawn.")
-@option("--systems", default=SYSTEMS, help="Systems, separated by commas.")
+@_systems
 def figures(folder: Path, seed: int, systems: str) -> None:
     """Draw the paper's figures 4 and 5 from one realisation, as PNG and SVG.
 
@@ -127,35 +128,21 @@ def figures(folder: Path, seed: int, systems: str) -> None:
         click.echo(str(path))
 
 
-Run = Callable[..., None]
-
-
-def _of_others(command: Run) -> Run:
-    """The options of the benchmarks that others have set."""
-    for one in reversed(
-        (
-            option("--systems", help="Systems, separated by commas; by default all."),
-            option("--seeds", type=int, default=1, help="Records of each system and noise."),
-            option("--seed", type=int, default=0, help="Seed of the first record."),
-            option("--jobs", type=int, default=2, help="Worker processes; the results do not depend on it."),
-            option(
-                "--store",
-                type=FILE,
-                default=Path("benchmark.db"),
-                help="File of results; a benchmark that was stopped continues in it.",
-            ),
-            option("--each", is_flag=True, help="A line for every system, failures first, instead of all together."),
-            option(
-                "--format",
-                "form",
-                type=click.Choice(["text", "csv"]),
-                default="text",
-                help="How to write the table.",
-            ),
-        )
-    ):
-        command = one(command)
-    return command
+# The options of the benchmarks that others have set.
+_of_others = together(
+    option("--systems", help="Systems, separated by commas; by default all."),
+    option("--seeds", type=int, default=1, help="Records of each system and noise."),
+    option("--seed", type=int, default=0, help="Seed of the first record."),
+    _jobs,
+    option(
+        "--store",
+        type=FILE,
+        default=Path("benchmark.db"),
+        help="File of results; a benchmark that was stopped continues in it.",
+    ),
+    option("--each", is_flag=True, help="A line for every system, failures first, instead of all together."),
+    option("--format", "form", type=click.Choice(["text", "csv"]), default="text", help="How to write the table."),
+)
 
 
 @study.command(cls=Command)
@@ -167,7 +154,7 @@ def dysts(noise: str, methods: str, **how: Any) -> None:
     from bayeq.study import dysts as benchmark
 
     given = {"noises": [number("--noise", one) for one in _names(noise)], "methods": _names(methods)}
-    _run_of_others("dysts", benchmark, benchmark.by_system, given, **how)
+    _run_of_others("dysts", benchmark, given, **how)
 
 
 @study.command(cls=Command)
@@ -188,13 +175,12 @@ def odebench(noise: str, points: str, dictionaries: str, methods: str, **how: An
         "dictionaries": _names(dictionaries),
         "methods": _names(methods),
     }
-    _run_of_others("odebench", benchmark, benchmark.by_record, given, **how)
+    _run_of_others("odebench", benchmark, given, **how)
 
 
 def _run_of_others(
     name: str,
     benchmark: Any,
-    by_system: Callable[[Any], Iterable[Mapping[str, object]]],
     given: dict[str, Any],
     *,
     systems: str | None,
@@ -220,7 +206,7 @@ def _run_of_others(
             raise InterruptedRun(f"interrupted: what was done is in {store}; the same command continues") from None
     import pandas as pd
 
-    table = pd.DataFrame(list((by_system if each else benchmark.summary)(done)))
+    table = pd.DataFrame(list((benchmark.each if each else benchmark.summary)(done)))
     if form == "csv":
         click.echo(table.to_csv(index=False, lineterminator="\n").rstrip("\n"))
     else:

@@ -112,10 +112,7 @@ def conditions_of(
 ) -> Conditions:
     """What was asked for, as for `bayeq.Equations.plan`, and the rest from the record; `noise` is that of every target.
 
-    Raises
-    ------
-    InputError
-        Names that are not there, numbers out of range, or something that neither was given nor is known.
+    InputError for names that are not there, numbers out of range, or something that neither was given nor is known.
     """
     rate = _positive("fs", fs if fs is not None else _known(measured.fs, "the sampling rate", "fs"))
     length = seconds

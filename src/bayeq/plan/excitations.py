@@ -36,13 +36,7 @@ class Excitation:
 
 
 def lines_within(n: int, fs: float, band: Band, odd: bool = False) -> NDArray[np.intp]:
-    """Multiples of fs/n within a band, above 0 and below fs/2; only the odd ones if asked for.
-
-    Raises
-    ------
-    InputError
-        There are none.
-    """
+    """Multiples of fs/n within a band, above 0 and below fs/2, or the odd ones alone; InputError if there are none."""
     line = np.arange(1, (n + 1) // 2)
     frequency = line * fs / n
     inside = (frequency >= band[0] * (1.0 - ROUNDING)) & (frequency <= band[1] * (1.0 + ROUNDING))

@@ -12,7 +12,7 @@ import numpy as np
 from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
 from bayeq.errors import InputError, whole_number
-from bayeq.expressions import Expression
+from bayeq.figures.picture import EquationLike
 from bayeq.forecast.dynamics import Dynamics, Law
 from bayeq.inference.posterior import Posterior
 from bayeq.plan.conditions import Conditions
@@ -22,26 +22,15 @@ from bayeq.plan.models import CandidateModel
 from bayeq.plan.result import Compared, Outcome, Plan, Separation
 from bayeq.plan.settings import PLAN
 from bayeq.resumable import Progress
-from bayeq.states import Chain
 
 
-class Found(Protocol):
+class Found(EquationLike, Protocol):
     """What a plan needs of an equation; see `bayeq.Equation`."""
 
-    @property
-    def chain(self) -> Chain: ...
-    @property
-    def terms(self) -> tuple[Expression, ...]: ...
-    @property
-    def shown_posterior(self) -> Posterior: ...
     @property
     def models(self) -> tuple[CandidateModel, ...]: ...
     @property
     def unit_gains(self) -> tuple[float, ...]: ...
-    @property
-    def units(self) -> Mapping[str, str]: ...
-    @property
-    def target(self) -> str: ...
 
 
 @dataclass(frozen=True, eq=False)

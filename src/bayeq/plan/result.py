@@ -50,85 +50,51 @@ NEVER = 3e8
 
 @dataclass(frozen=True, slots=True)
 class Compared:
-    """A model that a plan compares.
+    """A model that a plan compares."""
 
-    Attributes
-    ----------
-    target : str
-        Of its equation.
-    name : str
-        The terms, of the leading model; for a rival, in what it differs from that.
-    probability : float or None
-        None of a leading model that is not among the likeliest: the terms shown may leave out some within a tolerance.
-    """
-
-    target: str
-    name: str
+    target: str  # of its equation
+    name: str  # the terms, of the leading model; for a rival, in what it differs from that
+    # None of a leading model that is not among the likeliest: the terms shown may leave out some within a tolerance
     probability: float | None
 
 
 @dataclass(frozen=True, slots=True)
 class Separation:
-    """How a design tells the leading model from one rival.
+    """How a design tells the leading model from one rival."""
 
-    Attributes
-    ----------
-    rival : int
-        Place among the rivals of the plan.
-    rate, sd : float
-        What the wrong one of the two cannot imitate of the true one, lambda per second, in the less favourable case;
-        mean and standard deviation over realisations [nats/s].
-    if_leading, if_rival : float or None
-        The same if the leading model is true, and if the rival is. None of a rival whose run leaves every range; where
-        one model contains the other, only the case counts in which the larger is true.
-    seconds : float
-        Until the odds for the true one of the two are expected to reach those wanted; the longer of both cases. Where
-        one contains the other, if the larger is true.
-    by_size : float or None
-        Where one contains the other, the same time if the smaller is true: motion cannot show that, and only the Occam
-        factor grows.
-    """
-
-    rival: int
+    rival: int  # place among the rivals of the plan
+    # what the wrong one of the two cannot imitate of the true one, lambda per second, in the less favourable case; mean
+    # and standard deviation over realisations [nats/s]
     rate: float
     sd: float
+    # the same if the leading model is true, and if the rival is; None of a rival whose run leaves every range. Where
+    # one model contains the other, only the case counts in which the larger is true
     if_leading: float
     if_rival: float | None
+    # until the odds for the true one of the two are expected to reach those wanted; the longer of both cases. Where one
+    # contains the other, if the larger is true
     seconds: float
+    # where one contains the other, the same time if the smaller is true: motion cannot show that, and only the Occam
+    # factor grows
     by_size: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """A design and what it is expected to tell.
-
-    Attributes
-    ----------
-    design : Design
-    amplitudes : mapping of str to float
-        Of each input about its middle.
-    limited : bool
-        Whether a limit decided the amplitude.
-    rate, sd : float
-        Information by second [nats/s], mean and standard deviation over realisations: against the closest rival, or of
-        the coefficients.
-    seconds : float
-        Until the models can be told apart (if the larger of nested ones is true), or until standard deviations of the
-        coefficients are halved.
-    peaks : mapping of str to float
-        Largest magnitude of every state, in the mean over realisations.
-    separations : tuple of Separation
-        The closest rival first; empty where the coefficients are planned for.
-    """
+    """A design and what it is expected to tell."""
 
     design: Design
-    amplitudes: Mapping[str, float]
-    limited: bool
+    amplitudes: Mapping[str, float]  # of each input about its middle
+    limited: bool  # whether a limit decided the amplitude
+    # information by second [nats/s], mean and standard deviation over realisations: against the closest rival, or of
+    # the coefficients
     rate: float
     sd: float
+    # until the models can be told apart (if the larger of nested ones is true), or until standard deviations of the
+    # coefficients are halved
     seconds: float
-    peaks: Mapping[str, float]
-    separations: tuple[Separation, ...] = ()
+    peaks: Mapping[str, float]  # largest magnitude of every state, in the mean over realisations
+    separations: tuple[Separation, ...] = ()  # the closest rival first; empty where the coefficients are planned for
 
 
 @dataclass(frozen=True)

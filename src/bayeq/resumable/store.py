@@ -34,19 +34,9 @@ LEASE, BEAT = 60.0, 15.0
 class ResultStore:
     """A file of tables, one of them the table of results; a subclass names them. Use it in a ``with`` statement.
 
-    Parameters
-    ----------
-    path : path
-        The file.
-    make : bool
-        Whether it is opened for work: made if it is not there, and given a table of claims if it has none yet.
-    any_thread : bool
-        Whether threads may use it, which take turns.
-
-    Raises
-    ------
-    FileFormatError
-        There is no such file, it is something else, is damaged, or cannot be written.
+    With `make` it is opened for work: made if it is not there, and given a table of claims if it has none yet; with
+    `any_thread` threads may use it, which take turns. FileFormatError where there is no such file, it is something
+    else, is damaged, or cannot be written.
     """
 
     #: In the header of the file, and the version of its tables.
@@ -160,18 +150,9 @@ class ResultStore:
         return " AND ".join(f"{name} = ?" for name in self.key)
 
     def claim(self, wanted: Sequence[Key], owner: str, until: float, dead: Callable[[str, float], bool]) -> list[Key]:
-        """Claim those of some rows that no other process has claimed, in one transaction.
+        """Claim those of some rows that no other process has claimed, in one transaction, until a time [s since 1970].
 
-        Parameters
-        ----------
-        wanted : sequence of Key
-            The rows.
-        owner : str
-            Who claims.
-        until : float
-            When the claim ends [s since 1970].
-        dead : callable
-            Whether the claim of an owner with such an end counts for nothing.
+        `dead` says whether the claim of an owner with such an end counts for nothing.
         """
         free = []
         with self._transaction():
@@ -239,12 +220,7 @@ class Claims:
 
     A claim ends after a minute unless its owner prolongs it, which a thread does; that of a process of this machine
     that is no more ends at once. Where a claim is lost and a row is computed twice after all, both are the same. As a
-    context manager it gives back at its end what is not done.
-
-    Parameters
-    ----------
-    store : ResultStore
-        Opened once more, for threads.
+    context manager it gives back at its end what is not done. The store is opened once more, for threads.
     """
 
     def __init__(self, store: ResultStore) -> None:

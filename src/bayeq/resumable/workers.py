@@ -37,15 +37,6 @@ LOOK = 0.5
 MAX_JOBS = 512
 
 
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """BLAS in this process with one thread, as in the workers, so that sums are rounded alike."""
-    from threadpoolctl import threadpool_limits
-
-    with threadpool_limits(1):
-        yield
-
-
 def fill(
     store: ResultStore,
     missing: Callable[[], Sequence[Sequence[Key]]],
@@ -58,32 +49,14 @@ def fill(
 ) -> Generator[tuple[Answer, int, int], None, None]:
     """Compute the results that a store lacks; the caller puts each answer into it.
 
-    A result depends on nothing but its key, so that neither the number of workers, nor batches, nor a kill changes it.
+    A result depends on nothing but its key, so that neither the number of workers, nor batches, nor a kill changes it;
+    several processes may fill a store. `missing` gives the keys that it lacks now, in groups that are computed
+    together, and is asked until there are none. `tasks` turns the keys of `size` groups into a task, `work` a task
+    into its answer, and `count` gives the number of groups in an answer. Tasks and answers are sent between processes:
+    `jobs` of them compute, with 1 this process alone, or else the workers of a `bayeq.streaming.cluster.Cluster`.
 
-    Parameters
-    ----------
-    store : ResultStore
-        Several processes may fill it.
-    missing : callable
-        The keys that it lacks now, in groups that are computed together; asked until there are none.
-    work : callable
-        From a task to its answer, both of which processes can hand on.
-    jobs : int
-        Worker processes; with 1 all is done in this process.
-    size : int
-        Groups that a worker computes at a time.
-    tasks : callable
-        From the keys of some groups to a task.
-    count : callable
-        From an answer to the number of groups in it.
-    cluster : bayeq.streaming.cluster.Cluster, optional
-        Whose workers compute, instead of `jobs` processes.
-
-    Yields
-    ------
-    answer, int, int
-        An answer as it is ready; the number of groups done, with it, and of these and what was missing when it was last
-        looked.
+    Yields an answer as it is ready, the number of groups done, with it, and of these and what was missing when it was
+    last looked.
     """
     done = 0
     with Claims(store) as claims:
@@ -107,23 +80,9 @@ def fill(
 def compute(
     work: Callable[[Task], Answer], tasks: Iterable[Task], jobs: int, store: Path
 ) -> Generator[Answer, None, None]:
-    """The answer to each task, in the order in which they are ready.
+    """The answer to each task, as it is ready; tasks are asked for as workers are free.
 
-    Parameters
-    ----------
-    work : callable
-        From a task to its answer, both of which processes can hand on.
-    tasks : iterable
-        What is to be done, asked for as workers are free.
-    jobs : int
-        Worker processes; with 1 all is done in this process.
-    store : Path
-        File of the results, for the message.
-
-    Raises
-    ------
-    BayeqError
-        A worker was killed.
+    With one job all is done in this process. BayeqError where a worker was killed, which names the store.
     """
     if jobs == 1:
         for task in tasks:

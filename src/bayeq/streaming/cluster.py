@@ -26,8 +26,9 @@ from weakref import WeakValueDictionary
 
 from threadpoolctl import threadpool_limits
 
-from bayeq.errors import BayeqError, InputError, MissingExtraError
+from bayeq.errors import BayeqError, InputError
 from bayeq.records import Record
+from bayeq.records.formats.limits import needing
 from bayeq.records.formats.protocol import parts_between
 from bayeq.records.stream import FileStream
 from bayeq.streaming.partitions import DaskStream, Parts
@@ -52,17 +53,9 @@ ANSWER = 5.0
 
 
 class Cluster:
-    """The workers of a cluster.
+    """The workers of a cluster, reached by a dask.distributed.Client.
 
-    Parameters
-    ----------
-    client : dask.distributed.Client
-        The way to them.
-
-    Raises
-    ------
-    InputError
-        Something else, no worker, or workers with another version of bayeq.
+    InputError for something else, no worker, or workers with another version of bayeq.
     """
 
     def __init__(self, client: Any) -> None:
@@ -294,24 +287,13 @@ def _require_workers(client: Any) -> None:
 
 @contextmanager
 def connected(address: str) -> Iterator[Any]:
-    """The client of a cluster.
+    """The client of a cluster, by the address of its scheduler, tcp://host:8786, or the file that it wrote.
 
-    Parameters
-    ----------
-    address : str
-        Of its scheduler, tcp://host:8786, or the file that it wrote (``dask scheduler --scheduler-file``).
-
-    Raises
-    ------
-    InputError
-        Nobody answers.
-    MissingExtraError
-        Dask is not installed.
+    The scheduler writes one with ``dask scheduler --scheduler-file``.
+    InputError where nobody answers; MissingExtraError without Dask.
     """
-    try:
+    with needing("distributed", "dask", "work on a cluster"):
         from distributed import Client
-    except ImportError:
-        raise MissingExtraError("distributed", "dask", "work on a cluster") from None
     found = _in_file(address)
     try:
         _require_answer(found)

@@ -30,13 +30,7 @@ class Parts:
         return self
 
     def read(self, start: int, stop: int) -> Record:
-        """Rows `start` to `stop`.
-
-        Raises
-        ------
-        RecordError
-            A part that has another number of rows than before.
-        """
+        """Rows `start` to `stop`; RecordError for a part that has another number of rows than before."""
         numbers = parts_between(self.bounds, start, stop)
         parts = [self.held[k] for k in numbers]
         for k, part in zip(numbers, parts, strict=True):
@@ -93,25 +87,10 @@ def is_dask(data: Any) -> bool:
 
 
 def dask_streams(data: Any, client: Any, channels: Sequence[str], time: Any = None) -> list[DaskStream]:
-    """Dask DataFrames, or mappings of names to Dask arrays, as records whose units are the partitions.
+    """Dask DataFrames, or mappings of names to (n,) Dask arrays, as records whose units are the partitions.
 
-    Parameters
-    ----------
-    data : Dask DataFrame, mapping of str to (n,) Dask array, or sequence of these
-        The records.
-    client : dask.distributed.Client
-        The cluster.
-    channels : sequence of str
-        The columns that are needed.
-    time : str, optional
-        The column that is time.
-
-    Raises
-    ------
-    InputError
-        A Dask array without names; times that are dates.
-    UnknownNameError
-        A channel that is not there.
+    Only the columns of `channels` and `time` are read. InputError for a Dask array without names, times that
+    are dates, or a channel that is not there.
     """
     if time is not None and not isinstance(time, str):
         raise InputError("t names the column that is time, of a Dask DataFrame; put sampling times into a column")

@@ -163,22 +163,10 @@ def fold(
     stage: str,
     kept: Any = None,
 ) -> Of:
-    """The sum over units, of at least one.
+    """The sum over units, of at least one, of what `work` computes.
 
-    Parameters
-    ----------
-    work : Work
-        Computes something of a unit that can be added.
-    units : sequence of Unit
-        The units, in order.
-    executor : Executor
-        Who computes.
-    progress : callable
-        Called with (stage, rows done, rows in all).
-    stage : str
-        What it is called there.
-    kept : Checkpoint, optional
-        Where the sum so far is kept, and taken from.
+    The executor computes; `progress` is called with (stage, rows done, rows in all). The sum so far is kept in a
+    Checkpoint, if one is given, and taken from it.
     """
     # One name for both: wherever an interrupt falls, they belong together.
     so_far: tuple[int, Any] = (0, None) if kept is None else kept.load()

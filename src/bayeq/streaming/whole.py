@@ -60,19 +60,7 @@ class Whole:
     def design(self, motion: Motion, terms: Sequence[Expression], allowed: Bools, share: float) -> Design:
         """A dictionary on the motion of stretches, with the statistics of all rows as they are.
 
-        Parameters
-        ----------
-        motion : Motion
-            Of stretches.
-        terms, allowed
-            As for `bayeq.regression.design.build_design`.
-        share : float
-            Of the rows of each record, the last, that are held out.
-
-        Raises
-        ------
-        InputError
-            No candidate can be used; missing samples.
+        The last `share` of the rows of each record is held out. InputError if no candidate can be used, or no row.
         """
         roles, terms = motion.roles, tuple(terms)
         work = AsMeasured(self.extents, roles, terms, share)

@@ -84,17 +84,7 @@ def _without_bad(z: Floats, rows: int, shift: Floats, bad: Counts) -> None:
 
 
 def fold_columns(terms: Sequence[Expression], columns: Mapping[str, Floats], targets: Sequence[str]) -> Folded:
-    """Moments of terms and targets over some rows.
-
-    Parameters
-    ----------
-    terms : sequence of Expression
-        The P candidates.
-    columns : mapping of str to (n,) array
-        States, inputs and targets.
-    targets : sequence of str
-        Those among the columns that are targets.
-    """
+    """Moments of P terms and of targets over the n rows of the columns: states, inputs and targets."""
     names = sorted({name for term in terms for name in term.names})
     tape = Tape.compile([*terms], [*names, *(t for t in targets if t not in names)])
     bad = np.zeros(len(terms), dtype=np.int64)

@@ -6,5 +6,5 @@ store      what a method gives and its errors as the paper defines them, in an S
 runner     all realisations, in parallel
 table      averages beside the paper's, as text, Markdown, CSV or JSON
 figures    the paper's Figs. 4 and 5
-cells      benchmarks that others have set, on the same store; `dysts`, `odebench`, and `peers` that run on them
+cells      benchmarks that others have set, on the same store; `dysts`, `odebench` run on them
 """

@@ -13,12 +13,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from bayeq.arrays import Floats
 from bayeq.errors import BayeqError, BayeqWarning, whole_number
 from bayeq.expressions import parse
 from bayeq.resumable.store import Key, ResultStore
-from bayeq.resumable.workers import MAX_JOBS, fill, one_thread
+from bayeq.resumable.workers import MAX_JOBS, fill
 
 # The name under which a law holds the constant of an equation.
 CONSTANT = "1"
@@ -71,33 +72,19 @@ def run_cells(
     jobs: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> Cells:
-    """Measure what a file does not hold of some cells.
+    """Measure the cells of a benchmark that an SQLite file, made if it is not there, does not hold.
 
-    Parameters
-    ----------
-    store : path
-        SQLite file; made if it is not there. Outcomes of several benchmarks may be in one.
-    name : str
-        Of the benchmark.
-    cells : sequence of tuple
-        Text and numbers that say what is measured.
-    measure : callable
-        From a cell and a seed to the outcome, as JSON can hold it; of a module, so that processes can be sent it.
-    records : int
-        Of each cell, with consecutive seeds.
-    first_seed : int
-        Not negative.
-    jobs : int
-        Worker processes.
-    progress : callable, optional
-        Called with (outcomes there, these and the missing ones).
+    Outcomes of several benchmarks may be in one file. A cell is text and numbers that say what is measured; its
+    `records` have consecutive seeds. `measure` turns a cell and a seed into an outcome that JSON can hold; it is a
+    function of a module, for worker processes import it. `progress` is called with (outcomes there, these and the
+    missing ones).
     """
     whole_number("seeds", records, 1, MOST_RECORDS)
     whole_number("seed", first_seed, 0)
     whole_number("jobs", jobs, 1, MAX_JOBS)
     seeds = range(first_seed, first_seed + records)
     keys = [json.dumps([name, *cell]) for cell in cells]
-    with _Outcomes(store, make=True) as file, one_thread():
+    with _Outcomes(store, make=True) as file, threadpool_limits(1):
         work = partial(_work, measure)
         with closing(fill(file, partial(file.missing, keys, seeds), work, jobs)) as answers:
             for rows, done, total in answers:
@@ -130,22 +117,13 @@ def timed(discover: Callable[[], Any], judge: Callable[[Any], Outcome]) -> Outco
 
 
 def judged(eqs: Any, laws: Sequence[Law] | None) -> Outcome:
-    """An answer beside the true laws.
+    """An answer beside the true laws: coefficients by term of each equation, the constant under `CONSTANT`.
 
-    Parameters
-    ----------
-    eqs : Equations
-        The answer.
-    laws : sequence of mapping of str to float or None
-        Of each equation the coefficients by term, the constant under `CONSTANT`; None where no dictionary holds them.
-
-    Returns
-    -------
-    dict
-        ``verdicts``; with laws also: ``E``, the error of the coefficient matrix in the spectral norm, relative to the
-        true one; ``exact``, whether the included terms of all equations are the true ones; ``wrong``, terms too many
-        and missed; ``false_found``, equations called found that show a false term, or miss a true one that is above its
-        stated bound; ``covered`` of ``intervals``, 95 % intervals of the true terms that are included.
+    Laws are None where no dictionary holds them: then there are ``verdicts`` alone, else also ``E``, the error of the
+    coefficient matrix in the spectral norm, relative to the true one; ``exact``, whether the included terms of all
+    equations are the true ones; ``wrong``, terms too many and missed; ``false_found``, equations called found that show
+    a false term, or miss a true one that is above its stated bound; ``covered`` of ``intervals``, 95 % intervals of the
+    true terms that are included.
     """
     verdicts = [eq.verdict.kind for eq in eqs]
     if laws is None:
@@ -203,3 +181,21 @@ def percent(part: Iterable[bool]) -> str:
     """
     values = list(part)
     return f"{100 * sum(values) / len(values):.1f}" if values else ""
+
+
+def rates_of_verdicts(outcomes: Sequence[Outcome], covering: Sequence[Outcome]) -> dict[str, object]:
+    """How often all equations are found, and one of them wrongly; coverage, of the intervals of some; and the time."""
+    verdicts = [one["verdicts"] for one in outcomes if "verdicts" in one]
+    covered, intervals = (sum(one.get(name, 0) for one in covering) for name in ("covered", "intervals"))
+    return {
+        "found_percent": percent(set(kinds) == {"found"} for kinds in verdicts),
+        "found_and_wrong": sum(one.get("false_found", 0) > 0 for one in outcomes) if verdicts else "",
+        "coverage_percent": f"{100 * covered / intervals:.1f}" if intervals else "",
+        "median_cpu_seconds": f"{np.median([one['cpu'] for one in outcomes]):.2f}",
+    }
+
+
+def wrong_in(outcomes: Sequence[Outcome]) -> str:
+    """What was too much or missed in any of some records."""
+    texts = (text for one in outcomes for text in [one.get("error", ""), *one.get("wrong", [])])
+    return "; ".join(dict.fromkeys(filter(None, texts)))

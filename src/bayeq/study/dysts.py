@@ -11,6 +11,8 @@ stand beside.
 
 from __future__ import annotations
 
+import time
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -20,18 +22,9 @@ import numpy as np
 
 from bayeq.arrays import Floats
 from bayeq.records import Record
-from bayeq.study.cells import (
-    CONSTANT,
-    Cell,
-    Cells,
-    Law,
-    Outcome,
-    facts,
-    judged,
-    matrix_error,
-    percent,
-    timed,
-)
+from bayeq.records.formats.limits import needing
+from bayeq.study import cells
+from bayeq.study.cells import CONSTANT, Cell, Cells, Law, Outcome
 from bayeq.study.config import choose
 from bayeq.systems import System, simulate
 
@@ -48,16 +41,20 @@ STEPS, TRANSIENT, LONG = 5000, 10, 30
 PUBLISHED = {"stlsq": "stlsq_differences", "weak": "stlsq_weak"}
 BEST_PUBLISHED = "miosr_weak"
 
+# Of PySINDy: thresholds, and test functions of the weak form, for every trajectory.
+THRESHOLDS = np.geomspace(1e-3, 10.0, 60)
+TEST_FUNCTIONS = 200
+
 
 def systems() -> list[str]:
     """Names of the systems."""
-    return list(facts()["dysts"])
+    return list(cells.facts()["dysts"])
 
 
 @lru_cache(maxsize=128)
 def _system(name: str) -> tuple[System, Sequence[Law]]:
     """A system, and its laws."""
-    known = facts()["dysts"][name]
+    known = cells.facts()["dysts"][name]
     states, laws = known["states"], known["terms"]
     system = System(
         name=name,
@@ -76,7 +73,7 @@ def _system(name: str) -> tuple[System, Sequence[Law]]:
         fs=PER_PERIOD / known["period"],
         noise=0.0,
         substeps=STEPS // PER_PERIOD,
-        citation=facts()["dysts_source"],
+        citation=cells.facts()["dysts_source"],
     )
     return system, laws
 
@@ -93,17 +90,7 @@ def _clean(name: str, seed: int, further: bool = False) -> list[Record]:
 
 
 def draw(name: str, noise: float, seed: int) -> list[Record]:
-    """Noisy trajectories of a system.
-
-    Parameters
-    ----------
-    name : str
-        Of the system.
-    noise : float
-        In per cent.
-    seed : int
-        Draws starts, and noise.
-    """
+    """Noisy trajectories of a system, with noise in per cent; the seed draws the starts and the noise."""
     clean = _clean(name, seed)
     states = clean[0].channels
     size = np.sqrt(np.mean([np.square(one[state]) for one in clean for state in states]))
@@ -120,28 +107,7 @@ def measure(cell: Cell, seed: int) -> Outcome:
     name, noise, method = str(cell[0]), float(cell[1]), str(cell[2])
     if method.startswith("bayeq"):
         return _bayeq(name, noise, seed, told=method.endswith("told"))
-    from bayeq.study.peers import fits
-
-    _, laws = _system(name)
-    records, test = draw(name, noise, seed), _clean(name, seed, further=True)
-    states = list(records[0].channels)
-    out = fits(method, records, states, DEGREE, seed)
-    errors, scores = [], []
-    rates = np.concatenate([_rates(laws, one, states) for one in test])
-    columns = np.concatenate([out.columns(np.column_stack([one[s] for s in states])) for one in test])
-    true = np.array([[law.get(t, 0.0) for t in out.terms] for law in laws])
-    for coef in out.coefficients:
-        errors.append(matrix_error(coef, true))
-        scores.append(_aicc(rates - columns @ coef.T, int(np.count_nonzero(coef))))
-    rule, oracle = int(np.argmin(scores)), int(np.argmin(errors))
-    exact = [bool(np.array_equal(coef != 0.0, true != 0.0)) for coef in out.coefficients]
-    return {
-        "cpu": out.cpu,
-        "E": errors[rule],
-        "exact": exact[rule],
-        "E_oracle": errors[oracle],
-        "any_exact": any(exact),
-    }
+    return _stlsq(name, noise, seed, weak=method == "weak")
 
 
 def _bayeq(name: str, noise: float, seed: int, told: bool) -> Outcome:
@@ -154,8 +120,8 @@ def _bayeq(name: str, noise: float, seed: int, told: bool) -> Outcome:
         own = {f"d{s}": [t for t in law if t != CONSTANT] for s, law in zip(system.states, laws, strict=True)}
         # an equation without candidates beside its constant is offered one
         how["dictionary"] = {target: terms or [system.states[0]] for target, terms in own.items()}
-    return timed(
-        lambda: discover(records, chains=list(system.states), holdout=0.0, **how), lambda eqs: judged(eqs, laws)
+    return cells.timed(
+        lambda: discover(records, chains=list(system.states), holdout=0.0, **how), lambda eqs: cells.judged(eqs, laws)
     )
 
 
@@ -176,14 +142,71 @@ def _aicc(residuals: Floats, terms: int) -> float:
     return float(level + 2 * terms + 2 * terms * (terms + 1) / (rows - terms - 1))
 
 
-def cells_of(names: Sequence[str] | None, noises: Sequence[float], methods: Sequence[str]) -> list[Cell]:
-    """The cells of some systems (None: all), noises in per cent, and `METHODS`.
+def _stlsq(name: str, noise: float, seed: int, weak: bool) -> Outcome:
+    """PySINDy's STLSQ at the thresholds that the rule and the oracle choose; MissingExtraError without PySINDy."""
+    _, laws = _system(name)
+    records, test = draw(name, noise, seed), _clean(name, seed, further=True)
+    states = list(records[0].channels)
+    library, terms, coefficients, cpu = _fits(records, states, seed, weak)
+    rates = np.concatenate([_rates(laws, one, states) for one in test])
+    columns = np.concatenate([np.asarray(library.transform(_samples(one, states))) for one in test])
+    true = np.array([[law.get(t, 0.0) for t in terms] for law in laws])
+    errors = [cells.matrix_error(coef, true) for coef in coefficients]
+    scores = [_aicc(rates - columns @ coef.T, int(np.count_nonzero(coef))) for coef in coefficients]
+    rule, oracle = int(np.argmin(scores)), int(np.argmin(errors))
+    exact = [bool(np.array_equal(coef != 0.0, true != 0.0)) for coef in coefficients]
+    return {
+        "cpu": cpu,
+        "E": errors[rule],
+        "exact": exact[rule],
+        "E_oracle": errors[oracle],
+        "any_exact": any(exact),
+    }
 
-    Raises
-    ------
-    InputError
-        A name that is not known.
+
+def _samples(record: Record, states: Sequence[str]) -> Any:
+    """States as PySINDy takes them."""
+    import pysindy
+
+    return pysindy.AxesArray(np.column_stack([record[s] for s in states]), {"ax_time": 0, "ax_coord": 1})
+
+
+def _fits(
+    records: Sequence[Record], states: Sequence[str], seed: int, weak: bool
+) -> tuple[Any, list[str], list[Floats], float]:
+    """The library, its terms, coefficients (C, P) at each threshold, and the seconds of CPU that one model takes.
+
+    From smoothed differences, or in weak form.
     """
+    with needing("pysindy", "pysindy", "PySINDy's fits"):
+        import pysindy
+    start = time.process_time()
+    plain: Any = pysindy.PolynomialLibrary(degree=DEGREE)
+    samples = [_samples(one, states) for one in records]
+    plain.fit(samples[0])
+    rows, targets = [], []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of thresholds that leave no term, and of its own arrays' axes
+        for one, values in zip(records, samples, strict=True):
+            library = plain
+            if weak:
+                np.random.seed(seed)  # noqa: NPY002 (where PySINDy takes the places of its test functions from)
+                library = pysindy.WeakPDELibrary(
+                    pysindy.PolynomialLibrary(degree=DEGREE), spatiotemporal_grid=one.time, K=TEST_FUNCTIONS
+                )
+            prepared, target = library.calc_trajectory(pysindy.SmoothedFiniteDifference(), values, one.time)
+            rows.append(np.asarray(library.fit_transform([prepared])[0]))
+            targets.append(np.asarray(target))
+        names = [name.replace(" ", "*").replace("^", "**") for name in plain.get_feature_names(list(states))]
+        columns, target = np.concatenate(rows), np.concatenate(targets)
+        prepared_at = time.process_time()
+        models = [pysindy.STLSQ(threshold=float(t), alpha=1e-5).fit(columns, target) for t in THRESHOLDS]
+    each = (time.process_time() - prepared_at) / len(models)
+    return plain, names, [np.asarray(model.coef_) for model in models], prepared_at - start + each
+
+
+def cells_of(names: Sequence[str] | None, noises: Sequence[float], methods: Sequence[str]) -> list[Cell]:
+    """The cells of some systems (None: all), noises in per cent, and `METHODS`; names that are not known are errors."""
     chosen = choose("system", systems() if names is None else names, systems())
     kinds = choose("method", methods, METHODS)
     return [(name, float(noise), method) for name in chosen for noise in noises for method in kinds]
@@ -195,45 +218,38 @@ def summary(done: Cells) -> Iterator[dict[str, object]]:
     for (name, noise, method), outcomes in zip(done.cells, done.outcomes, strict=True):
         groups.setdefault((float(noise), str(method)), []).extend((str(name), one) for one in outcomes)
     for (noise, method), found in sorted(groups.items(), key=lambda group: (group[0][0], METHODS.index(group[0][1]))):
-        if not found:
-            continue
-        yield {
-            "noise_percent": f"{noise:g}",
-            "method": method,
-            "records": len(found),
-            **_rates_of([o for _, o in found]),
-        } | {
-            "published_E": _published(PUBLISHED.get(method), noise, [name for name, _ in found]),
-            "published_E_miosr_weak": _published(BEST_PUBLISHED, noise, [name for name, _ in found]),
-        }
+        if found:
+            yield _line(noise, method, found)
 
 
-def by_system(done: Cells) -> Iterator[dict[str, object]]:
+def each(done: Cells) -> Iterator[dict[str, object]]:
     """A line for every cell, failures first: fewest exact answers, largest E."""
     lines: list[dict[str, object]] = []
     for (name, noise, method), outcomes in zip(done.cells, done.outcomes, strict=True):
         if outcomes:
-            head = {"system": name, "noise_percent": f"{float(noise):g}", "method": method, "records": len(outcomes)}
-            beside = {
-                "published_E": _published(PUBLISHED.get(str(method)), float(noise), [str(name)]),
-                "published_E_miosr_weak": _published(BEST_PUBLISHED, float(noise), [str(name)]),
-            }
-            lines.append({**head, **_rates_of(outcomes), **beside, "wrong": _wrong(outcomes)})
+            line = _line(float(noise), str(method), [(str(name), one) for one in outcomes])
+            lines.append({"system": name, **line, "wrong": cells.wrong_in(outcomes)})
     yield from sorted(lines, key=lambda line: (float(str(line["exact_percent"])), -float(str(line["median_E"]))))
 
 
-def _wrong(outcomes: Sequence[Outcome]) -> str:
-    """What was too much or missed in any of the records."""
-    return "; ".join(
-        dict.fromkeys(text for one in outcomes for text in [one.get("error", ""), *one.get("wrong", [])] if text)
-    )
+def _line(noise: float, method: str, found: Sequence[tuple[str, Outcome]]) -> dict[str, object]:
+    """Outcomes of some systems, and the published figures of these."""
+    names = [name for name, _ in found]
+    return {
+        "noise_percent": f"{noise:g}",
+        "method": method,
+        "records": len(found),
+        **_rates_of([one for _, one in found]),
+        "published_E": _published(PUBLISHED.get(method), noise, names),
+        "published_E_miosr_weak": _published(BEST_PUBLISHED, noise, names),
+    }
 
 
 def _published(kind: str | None, noise: float, names: Sequence[str]) -> str:
     """The published E of a method, the median over systems."""
     if kind is None or noise not in NOISES[:3]:
         return ""
-    values = [facts()["dysts"][name]["published"][kind][NOISES.index(noise)] for name in dict.fromkeys(names)]
+    values = [cells.facts()["dysts"][name]["published"][kind][NOISES.index(noise)] for name in dict.fromkeys(names)]
     return f"{np.median(values):.2e}"
 
 
@@ -241,17 +257,12 @@ def _rates_of(outcomes: Sequence[Outcome]) -> dict[str, object]:
     """Errors, exact answers, verdicts and coverage; an error is an answer of E = 1."""
     errors = np.array([one.get("E", 1.0) for one in outcomes])
     oracle = [one["E_oracle"] for one in outcomes if "E_oracle" in one]
-    verdicts = [one["verdicts"] for one in outcomes if "verdicts" in one]
-    intervals = sum(one.get("intervals", 0) for one in outcomes)
     return {
         "median_E": f"{np.median(errors):.2e}",
         "median_E_oracle": f"{np.median(oracle):.2e}" if oracle else "",
-        "E_below_1_percent": percent(errors < 0.01),
-        "E_below_10_percent": percent(errors < 0.1),
-        "exact_percent": percent(one.get("exact", False) for one in outcomes),
-        "any_exact_percent": percent(one["any_exact"] for one in outcomes) if oracle else "",
-        "found_percent": percent(set(kinds) == {"found"} for kinds in verdicts),
-        "found_and_wrong": sum(one["false_found"] > 0 for one in outcomes if "false_found" in one) if verdicts else "",
-        "coverage_percent": f"{100 * sum(o.get('covered', 0) for o in outcomes) / intervals:.1f}" if intervals else "",
-        "median_cpu_seconds": f"{np.median([one['cpu'] for one in outcomes]):.2f}",
+        "E_below_1_percent": cells.percent(errors < 0.01),
+        "E_below_10_percent": cells.percent(errors < 0.1),
+        "exact_percent": cells.percent(one.get("exact", False) for one in outcomes),
+        "any_exact_percent": cells.percent(one["any_exact"] for one in outcomes) if oracle else "",
+        **cells.rates_of_verdicts(outcomes, outcomes),
     }

@@ -56,15 +56,7 @@ class Comparison:
 
 
 def compare(name: str, config: StudyConfig) -> Comparison:
-    """Infer one realisation by MCMC and by VB.
-
-    Parameters
-    ----------
-    name : str
-        One of `STUDY_SYSTEMS`.
-    config : StudyConfig
-        Seed, noise, rows and chains; `perturb` 0 for nominal parameters.
-    """
+    """Infer a realisation of one of `STUDY_SYSTEMS` by MCMC and by VB; `perturb` is 0 for nominal parameters."""
     data = draw(config, name, 0)
     standard = data.train.standardise()
     prior = Prior(config.slab_variance, config.prior_inclusion, config.noise_shape, config.noise_rate)
@@ -81,24 +73,10 @@ def compare(name: str, config: StudyConfig) -> Comparison:
 
 
 def confidence_ellipse(mean: ArrayLike, covariance: ArrayLike, level: float = 0.95) -> Floats:
-    """Outline of the region that holds a share `level` of a bivariate Gaussian.
+    """Outline (2, 200), a closed curve, of the region that holds a share `level` of a bivariate Gaussian.
 
     The points where ``(t - mean)' C^-1 (t - mean)`` is the chi-square quantile with 2 degrees of freedom,
-    ``-2 ln(1 - level)``.
-
-    Parameters
-    ----------
-    mean : (2,) array_like
-        Centre.
-    covariance : (2, 2) array_like
-        Positive definite.
-    level : float
-        Between 0 and 1.
-
-    Returns
-    -------
-    (2, 200) array
-        A closed curve.
+    ``-2 ln(1 - level)``; mean (2,) and covariance (2, 2), positive definite.
 
     Examples
     --------
@@ -198,30 +176,11 @@ def write_figures(folder: Path, *, seed: int = 0, systems: Iterable[str] = STUDY
 
     Nominal parameters, 5 % noise, 2000 rows, columns standardised by eq. (32), the paper's prior and chains. Fig. 4
     shows the inclusion probabilities of all terms, Fig. 5 the pairwise posteriors of the true terms' coefficients of
-    the nonlinear systems; without such systems there is none.
+    the nonlinear systems; without such systems there is none. The files ``fig4_inclusion`` and ``fig5_joint``, each as
+    ``.png`` and ``.svg``, go into a folder that is made if missing; the same seed gives the same bytes.
 
-    Parameters
-    ----------
-    folder : Path
-        Where to write ``fig4_inclusion`` and ``fig5_joint``, each as ``.png`` and ``.svg``; made if missing.
-    seed : int
-        The same seed gives the same files, byte by byte.
-    systems : iterable of str
-        Some of `STUDY_SYSTEMS`.
-
-    Returns
-    -------
-    list of Path
-        The files written.
-
-    Raises
-    ------
-    MissingExtraError
-        matplotlib is not installed.
-    UnknownNameError
-        No such system.
-    InputError
-        An argument is out of range, or the files cannot be written.
+    MissingExtraError without matplotlib; InputError for an argument out of range, a system that is not known, or files
+    that cannot be written.
     """
     require_matplotlib()
     names = choose("system", systems, STUDY_SYSTEMS)

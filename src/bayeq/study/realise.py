@@ -10,13 +10,12 @@ from __future__ import annotations
 import math
 import time
 import warnings
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import Any, Literal, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayeq.arrays import Floats
 from bayeq.dictionary import Variables, build_dictionary
@@ -49,16 +48,6 @@ LONGEST_MESSAGE = 300
 
 
 @dataclass(frozen=True, slots=True)
-class Estimate:
-    """What an algorithm answers."""
-
-    support: NDArray[np.bool_]  # (P,), the selected terms
-    coef: Floats  # (P,), coefficients in original units, 0 for a term that is not selected
-    converged: bool = True  # whether it says it has converged
-    extras: Mapping[str, Any] = field(default_factory=dict)  # what else is worth keeping
-
-
-@dataclass(frozen=True, slots=True)
 class Realisation:
     """The data of one realisation."""
 
@@ -69,17 +58,7 @@ class Realisation:
     truth: Floats  # (P,), true coefficients of the candidate terms
 
 
-Algorithm = Callable[[Realisation, StudyConfig, tuple[int, ...]], Estimate]
-
-
-def estimate(posterior: Posterior) -> Estimate:
-    """The estimate in a posterior that is in original units already."""
-    extras: dict[str, Any] = {"n_iter": int(posterior.n_iter)}
-    for name in ("elbo", "rhat"):
-        value = getattr(posterior, name)
-        if value is not None and math.isfinite(value):
-            extras[name] = float(value)
-    return Estimate(posterior.support, posterior.coef, bool(posterior.converged), extras)
+Algorithm = Callable[[Realisation, StudyConfig, tuple[int, ...]], Posterior]
 
 
 def _posed(train: Gram, config: StudyConfig) -> tuple[Standardised, Prior]:
@@ -97,46 +76,46 @@ def _posed(train: Gram, config: StudyConfig) -> tuple[Standardised, Prior]:
 
 def _sindy(
     columns: Literal["raw", "standardised"], data: Realisation, config: StudyConfig, seed: tuple[int, ...]
-) -> Estimate:
+) -> Posterior:
     """Sequential threshold least squares, its threshold on raw or standardised columns swept on the held-out error."""
-    return estimate(sweep_stlsq(data.train, held_out=data.test, columns=columns))
+    return sweep_stlsq(data.train, held_out=data.test, columns=columns)
 
 
-def _rvm(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
+def _rvm(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Posterior:
     """Relevance vector machine; selected is what is left in the machine."""
     standard = data.train.standardise()
-    return estimate(rvm(standard.gram).rescaled(standard))
+    return rvm(standard.gram).rescaled(standard)
 
 
-def _gibbs(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
+def _gibbs(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Posterior:
     """SS-MCMC: the collapsed Gibbs sampler, eqs. (33)-(34), as in the paper without exchange steps."""
     standard, prior = _posed(data.train, config)
     chains = {"chains": config.chains, "samples": config.samples, "burn_in": config.burn_in}
     posterior = spike_slab_gibbs(standard.gram, prior, **chains, exchange=False, seed=seed, keep_draws=False)
-    return estimate(posterior.rescaled(standard))
+    return posterior.rescaled(standard)
 
 
-def _auto(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
+def _auto(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Posterior:
     """What `bayeq.discover` shows by default: its prior, its noise model and its selection."""
     regression = data.regression
     free = parse_constraints((), regression.design.terms, [regression.chain.target])
     (fit,) = fit_equations([regression], free, "auto", seed=seed)
     (selection,) = select([fit], Rules(), regression.motion)
-    return estimate(fit.expanded(selection.shown))
+    return fit.expanded(selection.shown)
 
 
-def _bma(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Estimate:
+def _bma(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Posterior:
     """Model averaging with exact weights; selected is the median probability model."""
     standard, prior = _posed(data.train, config)
-    return estimate(spike_slab_bma(standard.gram, prior).rescaled(standard))
+    return spike_slab_bma(standard.gram, prior).rescaled(standard)
 
 
 def _vb(
     init: Literal["search", "greedy", "rvm"], data: Realisation, config: StudyConfig, seed: tuple[int, ...]
-) -> Estimate:
+) -> Posterior:
     """SS-VB, from one start or several."""
     standard, prior = _posed(data.train, config)
-    return estimate(spike_slab_vb(standard.gram, prior, init=init).rescaled(standard))
+    return spike_slab_vb(standard.gram, prior, init=init).rescaled(standard)
 
 
 ALGORITHMS: dict[str, Algorithm] = {
@@ -174,17 +153,7 @@ def _seed(config: StudyConfig, system: str, index: int) -> tuple[int, int, int]:
 
 
 def draw(config: StudyConfig, system: str, index: int) -> Realisation:
-    """Simulate one realisation and form its Gram matrices.
-
-    Parameters
-    ----------
-    config : StudyConfig
-        The study.
-    system : str
-        One of `STUDY_SYSTEMS`.
-    index : int
-        Number of the realisation.
-    """
+    """Simulate a realisation, by its number, of one of `STUDY_SYSTEMS`, and form its Gram matrices."""
     known: System = get_system(system)
     record = simulate(
         known,
@@ -247,8 +216,15 @@ def _run(config: StudyConfig, task: Task, name: str, data: Realisation) -> Resul
         seconds=seconds,
         selected=tuple(data.train.names[j] for j in np.flatnonzero(answer.support)),
         converged=bool(answer.converged),
-        extras=dict(answer.extras),
+        extras=_extras(answer),
     )
+
+
+def _extras(posterior: Posterior) -> dict[str, Any]:
+    """What else an algorithm says, as plain numbers."""
+    found = {name: getattr(posterior, name) for name in ("elbo", "rhat")}
+    known = {name: float(value) for name, value in found.items() if value is not None and math.isfinite(value)}
+    return {"n_iter": int(posterior.n_iter), **known}
 
 
 def _message(error: Exception) -> str:

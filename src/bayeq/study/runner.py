@@ -11,9 +11,11 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+from threadpoolctl import threadpool_limits
+
 from bayeq.errors import whole_number
 from bayeq.resumable.store import Key
-from bayeq.resumable.workers import AHEAD, MAX_JOBS, fill, one_thread
+from bayeq.resumable.workers import AHEAD, MAX_JOBS, fill
 from bayeq.streaming.cluster import Cluster
 from bayeq.study.config import DEFAULT_ALGORITHMS, STUDY_SYSTEMS, StudyConfig, choose
 from bayeq.study.realise import ALGORITHMS, Task, realise
@@ -50,33 +52,13 @@ def run_study(
 ) -> Outcome:
     """Run a Monte Carlo study, or what is missing of it.
 
-    Parameters
-    ----------
-    store : path
-        SQLite file; made if it is not there.
-    systems, algorithms : sequence of str
-        Of `STUDY_SYSTEMS` and `ALGORITHMS`; others may be added to the same store later.
-    realisations : int
-        Of each system; more may be added to the same store later.
-    jobs : int
-        Worker processes; with 1 all is done in this process.
-    config : StudyConfig, optional
-        By default the paper's protocol with seed 0.
-    progress : callable, optional
-        Called with (realisations done, these and the missing ones).
-    batch : int, optional
-        Realisations that a worker does at a time; by default as many as take a quarter of a second.
-    client : dask.distributed.Client, optional
-        A cluster whose workers compute, instead of `jobs` processes.
+    The store is an SQLite file, made if it is not there, to which further systems, algorithms and realisations of each
+    system may be added later. Without `config` it is the paper's protocol with seed 0. `jobs` processes compute, with 1
+    this process alone, or the workers of a Dask `client`; a worker does as many realisations at a time as take a
+    quarter of a second, or a `batch`. `progress` is called with (realisations done, these and the missing ones).
 
-    Raises
-    ------
-    InputError
-        A name or number that cannot be used, or a store of another configuration.
-    BayeqError
-        A worker process was killed.
-    KeyboardInterrupt
-        Stopped by the user; what was done is in the store.
+    InputError for a name or number that cannot be used, or a store of another configuration; BayeqError where a worker
+    process was killed. What was done before KeyboardInterrupt is in the store.
     """
     config = config or StudyConfig()
     config.validate()
@@ -86,7 +68,7 @@ def run_study(
     whole_number("jobs", jobs, 1, MAX_JOBS)
     started = time.monotonic()
     cluster = None if client is None else Cluster(client)
-    with Store(store, config) as file, one_thread():
+    with Store(store, config) as file, threadpool_limits(1):
         file.plan(systems, algorithms, realisations)
         missing = partial(file.missing, systems, algorithms, realisations)
         size = 1 if batch is None else whole_number("batch", batch, 1)

@@ -71,21 +71,8 @@ def prediction_error(test: Gram, estimate: Floats) -> float:
 def measure(train: Gram, test: Gram, truth: Floats, support: Bools, coef: Floats) -> Metrics:
     """All metrics of an estimate.
 
-    Parameters
-    ----------
-    train, test : Gram
-        Statistics of the training and of the test rows, in original units.
-    truth : (P,) array
-        True coefficients, not all zero.
-    support : (P,) bool array
-        Selected terms.
-    coef : (P,) array
-        Estimated coefficients in original units.
-
-    Raises
-    ------
-    InputError
-        No true term in the dictionary.
+    All is in original units: statistics of the training and the test rows, true and estimated coefficients (P,).
+    InputError without a true term in the dictionary.
     """
     true = truth != 0
     if not true.any():
@@ -114,28 +101,10 @@ COLUMNS = ("system", "idx", "algorithm", *METRICS, "seconds", "selected", "conve
 class Store(ResultStore):
     """A study's file; use it in a ``with`` statement.
 
-    Parameters
-    ----------
-    path : path
-        The file.
-    config : StudyConfig, optional
-        To run this study, in a new file if there is none; without it the file is only looked at.
-    any_thread : bool
-        Whether threads may use it, which take turns.
+    With a configuration, to run that study, in a new file if there is none; without it the file is only looked at.
+    `config` is then the configuration in the file, a dict.
 
-    Attributes
-    ----------
-    path : Path
-        The file.
-    config : dict
-        The study's configuration.
-
-    Raises
-    ------
-    InputError
-        It holds a study of another configuration; the message names the keys.
-    FileFormatError
-        There is no such file, it is not a study, is damaged, or cannot be written.
+    InputError for a file with a study of another configuration, the message names the keys; otherwise as `ResultStore`.
     """
 
     application, noun = 0x62797173, "a study"  # "byqs"

@@ -14,6 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from bayeq.citation import PAPER
+from bayeq.markup import aligned
 from bayeq.study.config import STUDY_SYSTEMS
 from bayeq.study.store import METRICS, Plan, Result, Store
 
@@ -75,19 +76,10 @@ NOTES = {
 def aggregate(results: Iterable[Result], plan: Plan | None = None) -> list[Row]:
     """Table 2: a row per system and algorithm, in the paper's order.
 
-    Parameters
-    ----------
-    results : iterable of Result
-        By system, algorithm and index, as `Store.results` gives them.
-    plan : dict, optional
-        (system, algorithm) -> realisations asked for.
-
-    Returns
-    -------
-    list of dict
-        Means over the `n` realisations that did not fail under the names of the metrics, `e_theta_median`,
-        Monte Carlo standard errors in `se`, the paper's values (or None) in `paper`, mean `seconds`, and how many
-        realisations failed, did not converge, or are still missing.
+    Results are by system, algorithm and index, as `Store.results` gives them. A row has means over the `n` realisations
+    that did not fail under the names of the metrics, `e_theta_median`, Monte Carlo standard errors in `se`, the paper's
+    values (or None) in `paper`, mean `seconds`, and how many realisations failed, did not converge, or are still
+    missing of those that the plan asks for.
     """
     groups = groupby(results, key=lambda r: (r.system, r.algorithm))
     cells = {key: _cell(*key, list(group)) for key, group in groups}
@@ -160,20 +152,10 @@ def failure_messages(results: Iterable[Result]) -> list[Row]:
 
 
 def runtimes(rows: Sequence[Mapping[str, Any]], chains: int) -> list[Row]:
-    """Table 3: mean seconds of a single run over all systems, and ratios to the RVM and to SS-VB.
+    """Table 3, of the rows of `aggregate`: mean seconds of a single run over all systems, ratios to the RVM and SS-VB.
 
-    Parameters
-    ----------
-    rows : sequence of dict
-        What `aggregate` returned.
-    chains : int
-        Chains of the Gibbs sampler: as in the paper its time is that of a single one.
-
-    Returns
-    -------
-    list of dict
-        `seconds` of a single run (`seconds_all_chains` as measured), `ratio_rvm`, `ratio_vb`, and the paper's
-        three (or None) in `paper`.
+    As in the paper the time of the Gibbs sampler is that of a single one of its chains: `seconds` of a single run
+    (`seconds_all_chains` as measured), `ratio_rvm`, `ratio_vb`, and the paper's three (or None) in `paper`.
     """
     totals: dict[str, list[float]] = {}
     for row in rows:
@@ -204,16 +186,9 @@ def _ratios(seconds: Mapping[str, float], name: str) -> dict[str, float | None]:
 
 
 def show(store: Store, form: Format = "text", table: Literal[2, 3] = 2) -> str:
-    """A table of a study.
+    """The paper's Table 2 (errors and selection) or Table 3 (run times) of a study.
 
-    Parameters
-    ----------
-    store : Store
-        The study.
-    form : "text", "markdown", "csv" or "json"
-        JSON is an object with "version", "config", "rows" and "failures"; CSV has one row per row of the JSON.
-    table : 2 or 3
-        The paper's Table 2 (errors and selection) or Table 3 (run times).
+    JSON is an object with "version", "config", "rows" and "failures"; CSV has one row per row of the JSON.
     """
     failures = failure_messages(store.results())
     rows = aggregate(store.results(), store.planned())
@@ -311,14 +286,9 @@ def _printed(paper: Mapping[str, Any], name: str) -> str:
 
 
 def _text(head: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
-    widths = [max(len(line[k]) for line in (head, *lines)) for k in range(len(head))]
     left = [k for k, name in enumerate(head) if name in ("system", "algorithm")]
-
-    def render(line: Sequence[str]) -> str:
-        cells = (c.ljust(w) if k in left else c.rjust(w) for k, (c, w) in enumerate(zip(line, widths, strict=True)))
-        return "  ".join(cells).rstrip()
-
-    return "\n".join([render(head), "  ".join("-" * w for w in widths), *map(render, lines)])
+    rule = ["-" * max(map(len, column)) for column in zip(head, *lines, strict=True)]
+    return "\n".join(aligned([head, rule, *lines], left))
 
 
 def _markdown(head: Sequence[str], lines: Sequence[Sequence[str]]) -> str:

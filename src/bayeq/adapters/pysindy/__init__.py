@@ -8,7 +8,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from bayeq.errors import MissingExtraError
+from bayeq.records.formats.limits import needing
 
 if TYPE_CHECKING:
     from bayeq.adapters.pysindy.parts import KinematicDerivative, SpikeSlabOptimizer
@@ -19,8 +19,6 @@ __all__ = ["KinematicDerivative", "SpikeSlabOptimizer"]
 def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    try:
+    with needing("PySINDy", "pysindy", name):
         import_module("pysindy")
-    except ImportError as error:
-        raise MissingExtraError("PySINDy", "pysindy", name) from error
     return getattr(import_module(f"{__name__}.parts"), name)

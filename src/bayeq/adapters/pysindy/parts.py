@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from pysindy.differentiation.base import BaseDifferentiation
 from pysindy.optimizers import BaseOptimizer
 
-from bayeq.adapters.pysindy.series import LEAST_FLOOR, pieces_of, row_gram, series_grams, systematic_floor
+from bayeq.adapters.pysindy.series import LEAST_FLOOR, UNSEEN, UNSEEN_ROWS, pieces_of, row_gram, series_grams
 from bayeq.arrays import Bools, Floats
 from bayeq.errors import DataWarning, InputError, RecordError, UnknownNameError
 from bayeq.gram import Gram
@@ -28,6 +28,7 @@ from bayeq.states.kinematic.smoother import smooth_kinematic
 METHODS = [name for name, engine in ENGINES.items() if engine.spike_slab]
 
 
+@dataclass(eq=False, repr=False)
 class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
     """Sparse regression with spike-and-slab priors, for ``pysindy.SINDy(optimizer=SpikeSlabOptimizer())``.
 
@@ -99,31 +100,21 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
     [[False, True, False, False]]
     """
 
-    def __init__(
-        self,
-        slab_variance: float | None = None,
-        prior_inclusion: ArrayLike = 0.1,
-        noise_shape: float = 1e-4,
-        noise_rate: float = 1e-4,
-        inclusion_beta: tuple[float, float] | None = None,
-        method: str = "auto",
-        noise_floor: ArrayLike | None = None,
-        random_state: int = 0,
-        unbias: bool = False,
-        copy_X: bool = True,
-        normalize_columns: bool = False,
-        verbose: bool = False,
-    ) -> None:
-        super().__init__(unbias=unbias, copy_X=copy_X, normalize_columns=normalize_columns)
-        self.slab_variance = slab_variance
-        self.prior_inclusion = prior_inclusion
-        self.noise_shape = noise_shape
-        self.noise_rate = noise_rate
-        self.inclusion_beta = inclusion_beta
-        self.method = method
-        self.noise_floor = noise_floor
-        self.random_state = random_state
-        self.verbose = verbose
+    slab_variance: float | None = None
+    prior_inclusion: ArrayLike = 0.1
+    noise_shape: float = 1e-4
+    noise_rate: float = 1e-4
+    inclusion_beta: tuple[float, float] | None = None
+    method: str = "auto"
+    noise_floor: ArrayLike | None = None
+    random_state: int = 0
+    unbias: bool = False
+    copy_X: bool = True
+    normalize_columns: bool = False
+    verbose: bool = False
+
+    def __post_init__(self) -> None:
+        super().__init__(unbias=self.unbias, copy_X=self.copy_X, normalize_columns=self.normalize_columns)
 
     def set_params(self, **params: Any) -> Self:
         """Set parameters, as scikit-learn's estimators do."""
@@ -144,20 +135,22 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
         """
         self._check_parameters()
         D, Y = _arrays(x_, y)
-        weights = _weights(sample_weight, len(D))
+        given = np.asarray(1.0 if sample_weight is None else sample_weight, dtype=np.float64)
+        weights = checked_weights(np.full(len(D), given) if given.ndim == 0 else given, len(D))
+        even = bool((weights == 1.0).all())
         known = np.isfinite(D).all(axis=1) & np.isfinite(Y).all(axis=1)
         # what was fitted before is gone whatever happens
         for name in [name for name in vars(self) if name.endswith("_") and not name.startswith("_")]:
             delattr(self, name)
         gaps = np.diff(np.cumsum(~known)[known], prepend=0) > 0
-        D, Y = D[known], Y[known]
-        weights = None if weights is None else weights[known]
-        rows = len(D) if weights is None else float(weights.sum())
-        if rows < 2:
-            raise InputError(f"{rows:g} usable rows: a fit needs at least 2 without NaN, or weights that sum to 2")
+        D, Y, weights = D[known], Y[known], weights[known]
+        if weights.sum() < 2:
+            raise InputError(
+                f"{weights.sum():g} usable rows: a fit needs at least 2 without NaN, or weights that sum to 2"
+            )
         self.n_features_in_ = D.shape[1]
         self.Theta_ = D
-        self._reduce(D, Y, weights, gaps)
+        self._reduce(D, Y, weights, gaps if even else None)
         self.history_ = [self.coef_]
         empty = ", ".join(str(k) for k in np.flatnonzero(~self.ind_.any(axis=1)))
         if empty:
@@ -171,16 +164,18 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
         self.intercept_ = 0.0
         return self
 
-    def _reduce(self, x: Floats, y: Floats, weights: Floats | None, gaps: Bools) -> None:
-        """Set `posteriors_` and what follows from them."""
+    def _reduce(self, x: Floats, y: Floats, weights: Floats, gaps: Bools | None) -> None:
+        """Set `posteriors_` and what follows from them; without gaps the rows are no time series."""
         size, target_size = _sizes(x), _sizes(y)
         Z, T = x / size, y / target_size
-        floors = np.maximum(self._floors(y.shape[1]) / target_size, LEAST_FLOOR)
+        given = 0.0 if self.noise_floor is None else self.noise_floor
+        floors = _of_each("noise_floor", given, y.shape[1], "targets", "a standard deviation, 0 or more")
+        floors = np.maximum(floors / target_size, LEAST_FLOOR)
         varying = [k for k in range(y.shape[1]) if np.any(y[:, k])]
-        pieces = pieces_of(Z, gaps) if weights is None else None
+        pieces = None if gaps is None else pieces_of(Z, gaps)
         unseen = LEAST_FLOOR
-        if self.noise_floor is None:
-            unseen = systematic_floor(len(x) if weights is None else float(weights.sum()))
+        if self.noise_floor is None:  # white noise that weighs as much as an error which rows do not show
+            unseen = UNSEEN * float(np.sqrt(max(float(weights.sum()) / UNSEEN_ROWS, 1.0)))
         grams = {k: row_gram(Z, T[:, k], weights, max(floors[k], unseen)) for k in range(y.shape[1])}
         if pieces is not None and varying:
             grams.update(zip(varying, series_grams(Z, T[:, varying], pieces, floors[varying]), strict=True))
@@ -224,7 +219,7 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
         target_size: float,
         x: Floats,
         y: Floats,
-        weights: Floats | None,
+        weights: Floats,
     ) -> Posterior:
         """Of one target, as `discover` finds that of a regression."""
         unit = gram.in_units(size, target_size)
@@ -245,14 +240,8 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
         options = {"seed": self.random_state} if engine.random else {}
         found = engine.run(standard.gram, prior, **options).rescaled(standard)
         # not that of the bins, but of the rows
-        w = np.ones(len(y)) if weights is None else weights
-        left = float(w @ (y - x @ found.coef) ** 2)
-        return replace(found, noise_variance=left / max(float(w.sum()) - found.support.sum(), 1.0))
-
-    def _floors(self, targets: int) -> Floats:
-        if self.noise_floor is None:
-            return np.zeros(targets)
-        return _of_each("noise_floor", self.noise_floor, targets, "targets", "a standard deviation, 0 or more")
+        left = float(weights @ (y - x @ found.coef) ** 2)
+        return replace(found, noise_variance=left / max(float(weights.sum()) - found.support.sum(), 1.0))
 
     def _check_parameters(self) -> None:
         if self.unbias:
@@ -282,15 +271,6 @@ def _arrays(x: ArrayLike, y: ArrayLike) -> tuple[Floats, Floats]:
         if np.isinf(values).any():
             raise InputError(f"{name}: infinite value in row {int(np.argmax(np.isinf(values).any(axis=1))) + 1}")
     return D, Y
-
-
-def _weights(sample_weight: ArrayLike | None, n: int) -> Floats | None:
-    """Weights of the rows; None where each counts once."""
-    if sample_weight is None:
-        return None
-    given = np.asarray(sample_weight, dtype=np.float64)
-    w = checked_weights(np.full(n, float(given)) if given.ndim == 0 else given, n)
-    return None if (w == 1.0).all() else w
 
 
 def _sizes(values: Floats) -> Floats:
@@ -346,12 +326,8 @@ class KinematicDerivative(BaseDifferentiation):  # type: ignore[misc]
     def _differentiate(self, x: Any, t: ArrayLike = 1) -> Any:
         """Derivatives of samples (n,) or (n, K), in the shape of `x`; `t` is the step of time or the times (n,) [s].
 
-        Raises
-        ------
-        InputError
-            Samples of more than two dimensions, times that do not increase, or a noise level that is not positive.
-        RecordError
-            Samples from which noise cannot be told from motion, as there are too few.
+        InputError for samples of more than two dimensions, times that do not increase, or a noise level that is not
+        positive; RecordError for too few samples to tell noise from motion.
         """
         samples = np.asarray(x, dtype=np.float64)
         if samples.ndim not in (1, 2):

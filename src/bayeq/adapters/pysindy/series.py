@@ -104,20 +104,14 @@ def pieces_of(Z: Floats, gaps: Bools) -> list[slice] | None:
     return pieces if varying.any() and np.median(second[varying] / deviation[varying]) < 1.0 else None
 
 
-def row_gram(Z: Floats, t: Floats, weights: Floats | None, floor: float) -> Gram:
+def row_gram(Z: Floats, t: Floats, w: Floats, floor: float) -> Gram:
     """Uncentred statistics of rows that are no time series, white noise of standard deviation `floor` added.
 
-    Library (n, P) and target (n,); a weight is how often its row counts, once without weights.
+    Library (n, P), target (n,) and weights (n,), how often each row counts.
     """
-    w = np.ones(len(t)) if weights is None else weights
     columns = np.column_stack([Z, t])
     found = _uncentred((columns * w[:, None]).T @ columns, float(w.sum()))
     return replace(found, yty=found.yty + found.n * floor**2)
-
-
-def systematic_floor(rows: float) -> float:
-    """White noise, as a share of the target, that weighs as much as an error of the library which rows do not show."""
-    return UNSEEN * float(np.sqrt(max(rows / UNSEEN_ROWS, 1.0)))
 
 
 def series_grams(Z: Floats, T: Floats, pieces: Sequence[slice], floors: Floats) -> list[Gram]:
