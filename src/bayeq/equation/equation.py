@@ -360,30 +360,23 @@ class Equation:
         """
         import pandas as pd
 
-        p, shown = self.posterior, self.shown_posterior
-        ci, shown_ci, averaged = self.ci95, self.shown_ci95, self.averaged_ci95
-        averaged = np.full_like(ci, np.nan) if averaged is None else averaged
+        unknown, averaged = np.full(len(self.terms), np.nan), self.averaged_ci95
+        averaged_low, averaged_high = (unknown, unknown) if averaged is None else averaged.T
         out = pd.DataFrame(
             {
                 "term": [term.text for term in self.terms],
-                "coef": p.coef,
-                "sd": p.sd,
-                "ci_low": ci[:, 0],
-                "ci_high": ci[:, 1],
-                "pip": p.pip,
-                "included": p.support,
-                "shown": shown.support,
-                "share": np.full(len(self.terms), np.nan) if self.share is None else self.share,
+                **self.included_model.columns(),
+                "pip": self.posterior.pip,
+                "included": self.posterior.support,
+                "shown": self.shown_posterior.support,
+                "share": unknown if self.share is None else self.share,
                 "unit": self.coef_units,
-                "shown_coef": shown.coef,
-                "shown_sd": shown.sd,
-                "shown_ci_low": shown_ci[:, 0],
-                "shown_ci_high": shown_ci[:, 1],
-                "averaged_ci_low": averaged[:, 0],
-                "averaged_ci_high": averaged[:, 1],
+                **self.shown_model.columns("shown_"),
+                "averaged_ci_low": averaged_low,
+                "averaged_ci_high": averaged_high,
                 "why": [self.why.get(term.text, "") for term in self.terms],
                 "effective": False,  # as earlier versions had it
-                "bound": np.full(len(self.terms), np.nan) if self.bound is None else self.bound,
+                "bound": unknown if self.bound is None else self.bound,
             }
         )
         if not self.shown_constants:
@@ -391,7 +384,8 @@ class Equation:
         rows = [row_of(one, self.constant_units.get(one.name)) for one in self.shown_constants]
         return pd.concat([out, pd.DataFrame(rows).reindex(columns=out.columns)], ignore_index=True)
 
-    def _sum(self) -> list[tuple[float, float, Expression | None]]:
+    @property
+    def summands(self) -> list[tuple[float, float, Expression | None]]:
         """Coefficients, their standard deviations and the terms shown; last the intercept, where it is written out."""
         p, sd = self.shown_posterior, self.shown_posterior.sd
         constant = [(float(p.intercept), p.intercept_sd, None)] if self.intercept_matters else []
@@ -403,7 +397,7 @@ class Equation:
         if self.chain.hidden:
             return f"{self.target} = {self.chain.law}"
         pieces: list[str] = []
-        for value, sd, term in self._sum():
+        for value, sd, term in self.summands:
             number = round_to(value, sd)
             sign, size = ("-", number[1:]) if number.startswith("-") else ("+", number)
             body = size if term is None else f"{size}*{factor_of(term.text)}"
@@ -452,14 +446,14 @@ class Equation:
         dots = [base, rf"\dot{{{base}}}", rf"\ddot{{{base}}}", rf"\dddot{{{base}}}", rf"\ddddot{{{base}}}"]
         written = dict(zip(self.chain.names, dots, strict=False))
         if self.chain.discrete:
-            every = {self.target, *(name for _, _, term in self._sum() if term is not None for name in term.names)}
+            every = {self.target, *(name for _, _, term in self.summands if term is not None for name in term.names)}
             written = {name: step_latex(name) for name in every}
         names = {sympy.Symbol(name): text for name, text in written.items()}
         if uncertainty == "none":
             right = sympy.latex(self._right_hand_side(rounded=True), symbol_names=names)
         else:
             parts = []
-            for value, sd, term in self._sum():
+            for value, sd, term in self.summands:
                 factor = sympy.Integer(1) if term is None else to_sympy(term.named())
                 text = "" if term is None else sympy.latex(factor, symbol_names=names)
                 parts.append((value, sd, rf"\left({text}\right)" if factor.is_Add else text))
@@ -470,7 +464,7 @@ class Equation:
         import sympy
 
         total = sympy.Integer(0)
-        for value, sd, term in self._sum():
+        for value, sd, term in self.summands:
             number = sympy.Float(float(round_to(value, sd)) if rounded else value)
             total += number if term is None else number * to_sympy(term.named() if rounded else term)
         return total

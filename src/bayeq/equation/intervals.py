@@ -79,6 +79,11 @@ class Model:
         """Of the terms in the model."""
         return dict(zip(self.names, self.coef[self.inside].tolist(), strict=True))
 
+    def columns(self, prefix: str = "") -> dict[str, Floats]:
+        """Columns of a table."""
+        names = (f"{prefix}{name}" for name in ("coef", "sd", "ci_low", "ci_high"))
+        return dict(zip(names, (self.coef, self.sd, *self.ci95.T), strict=True))
+
     @property
     def intercept_ci95(self) -> tuple[float, float]:
         """95 % interval of the constant."""

@@ -22,6 +22,7 @@ from bayeq.equation.physical import (
     Mode,
     PhysicalParameters,
     Quantity,
+    drawn_coefficients,
     first_order_parameters,
     physical_parameters,
     quantity,
@@ -29,7 +30,7 @@ from bayeq.equation.physical import (
 from bayeq.equation.units import OscillatorUnits
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.expressions import Expression
-from bayeq.forecast.dynamics import Dynamics, Law, normal_draws
+from bayeq.forecast.dynamics import Law
 
 # Draws of parameters that nobody has asked for.
 DRAWS = 2000
@@ -116,15 +117,12 @@ def system_parameters(
     driven: dict[str, dict[int, Floats]] = {}
     rng = np.random.default_rng(seed)
     for i, (law, scale) in enumerate(zip(laws, scales, strict=True)):
-        names = sorted({name for term in law.terms for name in term.names} - set(law.chain.states))
-        alone = Dynamics.of([law], names)
-        drawn = normal_draws(alone.mean, alone.covariance, count, rng)
-        for j, term in enumerate(alone.terms[0]):
+        for term, drawn in drawn_coefficients(law, count, rng)[1].items():
             slope = _slope(term, states)
             if slope is not None:
-                linear[:, i] += drawn[:, 1 + j, None] * slope * per_state * scale.per_length / scale.acceleration
+                linear[:, i] += drawn[:, None] * slope * per_state * scale.per_length / scale.acceleration
             elif term.text in inputs:
-                driven.setdefault(term.text, {})[i] = drawn[:, 1 + j] * scale.scale_force()
+                driven.setdefault(term.text, {})[i] = drawn * scale.scale_force()
             elif term.text not in unexplained:
                 unexplained.append(term.text)
     found, modes = _modes(linear, [law.chain.names[0] for law in laws])

@@ -18,8 +18,8 @@ from bayeq.equation.rest import about_rest, is_displaced
 from bayeq.equation.units import OscillatorUnits, quotient_unit
 from bayeq.equation.written import round_to
 from bayeq.errors import InputError, UnknownNameError, whole_number
-from bayeq.expressions import parse
-from bayeq.forecast.dynamics import Dynamics, Law, normal_draws
+from bayeq.expressions import Expression, parse
+from bayeq.forecast.dynamics import Dynamics, Law
 from bayeq.markup import aligned
 from bayeq.numerics.normal import Z95
 from bayeq.states import Chain
@@ -214,10 +214,7 @@ def first_order_parameters(
     found, other, rng = list[Quantity](), list[str](), np.random.default_rng(seed)
     for law in laws:
         (x,), gains = law.chain.states, list[Quantity]()
-        names = {name for term in law.terms for name in term.names} - {x}
-        alone = Dynamics.of([law], sorted(names))
-        drawn = normal_draws(alone.mean, alone.covariance, draws, rng)
-        values = {term.text: drawn[:, 1 + j] for j, term in enumerate(alone.terms[0])}
+        values = {term.text: drawn for term, drawn in drawn_coefficients(law, draws, rng)[1].items()}
         if x not in values or not np.quantile(-values[x], 0.025) > 0.0:
             other += [name for name in values if name not in other]
             continue
@@ -244,15 +241,21 @@ def _read(law: Law, draws: int, seed: int, span: tuple[float, float] | None) -> 
         )
     count = whole_number("draws", draws, 100)
     x, v = chain.states
-    others = {name for term in law.terms for name in term.names} - set(chain.states)
-    alone = Dynamics.of([law], sorted(others))
-    drawn = normal_draws(alone.mean, alone.covariance, count, np.random.default_rng(seed))
-    coefficients, position = {term: drawn[:, 1 + j] for j, term in enumerate(alone.terms[0])}, None
+    constant, coefficients = drawn_coefficients(law, count, np.random.default_rng(seed))
+    position = None
     if span is not None and is_displaced(coefficients, _has_constant(law), x, v, span):
-        position, coefficients = about_rest(coefficients, drawn[:, 0], x, v, span)
+        position, coefficients = about_rest(coefficients, constant, x, v, span)
     # |v|*v is v*|v|
     same = {parse(f"abs({v})*{v}"): f"{v}*abs({v})"}
     return {same.get(term, term.text): values for term, values in coefficients.items()}, position
+
+
+def drawn_coefficients(law: Law, count: int, rng: np.random.Generator) -> tuple[Floats, dict[Expression, Floats]]:
+    """Draws of the intercept of a law and of the coefficient of each included term, (count,) each."""
+    inputs = {name for term in law.terms for name in term.names} - set(law.chain.states)
+    alone = Dynamics.of([law], sorted(inputs))
+    constant, *columns = alone.draw(count, rng).T
+    return constant, dict(zip(alone.terms[0], columns, strict=True))
 
 
 def _has_constant(law: Law) -> bool:

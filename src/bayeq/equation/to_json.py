@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any
@@ -56,7 +56,7 @@ def to_dict(eq: Answer) -> dict[str, Any]:
             "units": {name: unit for equation in eq.equations for name, unit in equation.units.items()},
         },
         "equations": [_equation(equation) for equation in eq.equations],
-        **({"constants": list(_constants(eq))} if eq.constants else {}),
+        **({"constants": _constants(eq)} if eq.constants else {}),
         **({"hidden": [_hidden(one) for one in eq.hidden]} if eq.hidden else {}),
         "parameters": [_parameter(one) for one in found or ()],
         "modes": [
@@ -119,14 +119,13 @@ def _equation(equation: Equation) -> dict[str, Any]:
     }
 
 
-def _constants(eq: Answer) -> Iterator[dict[str, Any]]:
+def _constants(eq: Answer) -> list[dict[str, Any]]:
     """Constants inside terms, each once."""
-    seen = set[str]()
+    found: dict[str, dict[str, Any]] = {}
     for equation in eq.equations:
         for one in equation.constants:
-            if one.name not in seen:
-                seen.add(one.name)
-                yield _constant(equation, one)
+            found.setdefault(one.name, _constant(equation, one))
+    return list(found.values())
 
 
 def _hidden(one: HiddenState) -> dict[str, Any]:

@@ -20,25 +20,10 @@ from bayeq.records.units import Unit, derivative_ratio, in_si, multiply_units, p
 from bayeq.states import Chain
 
 # Functions of numbers without a unit; those of angles, and units of these.
-PURE = [
-    "sin",
-    "cos",
-    "tan",
-    "asin",
-    "acos",
-    "atan",
-    "exp",
-    "log",
-    "log10",
-    "log1p",
-    "sinh",
-    "cosh",
-    "tanh",
-    "asinh",
-    "acosh",
-    "atanh",
-    "erf",
-]
+PURE = (
+    "sin", "cos", "tan", "asin", "acos", "atan", "exp", "log", "log10", "log1p", "sinh", "cosh", "tanh", "asinh",
+    "acosh", "atanh", "erf",
+)  # fmt: skip
 OF_ANGLES = ("sin", "cos", "tan")
 RADIANS, DEGREES = (Unit(), parse_unit("rad")), (parse_unit("deg"), parse_unit("°"))
 # Numbers by which a term converts degrees itself.

@@ -11,8 +11,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from bayeq.equation.answer import Answer
 from bayeq.equation.brief import DERIVED, checks, failed, in_symbols, sentence, what_to_try
 from bayeq.equation.equation import Equation
@@ -163,22 +161,16 @@ def _equation(one: Equation, eq: Answer) -> dict[str, Any]:
 
 def _maths(one: Equation, names: Mapping[str, str]) -> str:
     """An equation as MathML, a piece for each term so that it breaks between them."""
-    p = one.shown_posterior
     pieces = [f"<mrow>{names[one.target]}<mo>=</mo></mrow>"]
-    numbers = [
-        (float(p.coef[j]), float(p.sd[j]), mathml(one.terms[j], names, factor=True)) for j in np.flatnonzero(p.support)
-    ]
-    if one.intercept_matters:
-        numbers.append((p.intercept, p.intercept_sd, ""))
-    for k, (value, sd, term) in enumerate(numbers):
+    for k, (value, sd, term) in enumerate(one.summands):
         text = round_to(value, sd)
         sign = "\N{MINUS SIGN}" if text.startswith("-") else "+" if k else ""
         form = 'form="prefix"' if not k else 'form="infix"'
         front = f"<mo {form}>{sign}</mo>" if sign else ""
-        pieces.append(
-            f"<mrow>{front}{number_mathml(text.removeprefix('-'))}<mspace width='0.17em'></mspace>{term}</mrow>"
-        )
-    if not numbers:
+        factor = "" if term is None else mathml(term, names, factor=True)
+        number = number_mathml(text.removeprefix("-"))
+        pieces.append(f"<mrow>{front}{number}<mspace width='0.17em'></mspace>{factor}</mrow>")
+    if not one.summands:
         pieces.append("<mn>0</mn>")
     return "".join(f"<math>{piece}</math> " for piece in pieces)
 
@@ -229,14 +221,13 @@ def _checked(eq: Answer) -> str:
 
 
 def _sampling(eq: Answer) -> str:
-    """How the records were sampled."""
+    """How the records were sampled, as far as known."""
     if eq.roles.discrete:
         return "counted in samples"
-    return "time not known, rows counted" if eq.data.rows_as_time else _rate(eq.data.fs, eq.data.seconds)
-
-
-def _rate(fs: float | None, seconds: float | None) -> str:
-    return "" if fs is None else f"{fs:.6g} Hz" + (f", {seconds:.4g} s in all" if seconds is not None else "")
+    if eq.data.rows_as_time:
+        return "time not known, rows counted"
+    seconds = "" if eq.data.seconds is None else f", {eq.data.seconds:.4g} s in all"
+    return "" if eq.data.fs is None else f"{eq.data.fs:.6g} Hz{seconds}"
 
 
 def _library() -> str:
