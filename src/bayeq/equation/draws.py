@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayeq.adapters.arviz import to_arviz
-from bayeq.errors import InputError, whole_number
+from bayeq.errors import whole_number
 from bayeq.forecast.dynamics import normal_draws
 from bayeq.inference.posterior import Draws
 
@@ -18,9 +18,7 @@ if TYPE_CHECKING:
 def draws_of(equation: Equation, draws: int, seed: int) -> Any:
     """As `bayeq.equation.equations.Equations.to_arviz`, of one equation."""
     draws = whole_number("draws", draws, 1)
-    fit = equation.fit
-    if fit is None:
-        raise InputError("a file of equations does not hold what their posterior came from: run discover again")
+    fit = equation.solved()
     rng, average = np.random.default_rng(seed), fit.posterior.average
     if average is None:
         models, probability = fit.posterior.support[None], np.ones(1)

@@ -17,7 +17,7 @@ from bayeq.equation.sensitivity import power_sensitivity, prior_sensitivity, req
 from bayeq.equation.size_path import ParsimonyPath, parsimony_path
 from bayeq.equation.units import constant_units, quotient_unit
 from bayeq.equation.verdict import Verdict
-from bayeq.equation.written import at_end, factor_of, odds_text, round_to, row_of
+from bayeq.equation.written import at_end, factor_of, odds_text, round_to, row_of, with_interval
 from bayeq.errors import InputError
 from bayeq.export.latex import Uncertainty, sum_in_latex
 from bayeq.expressions import Evaluator, Expression, to_sympy
@@ -211,9 +211,8 @@ class Equation:
     @property
     def at_ends(self) -> tuple[str, ...]:
         """What is to be said of constants at the ends of the ranges in which they were sought."""
-        return tuple(
-            text for one in self.shown_constants for text in at_end(one, self.constant_units.get(one.name, ""))
-        )
+        units = self.constant_units
+        return tuple(text for one in self.shown_constants for text in at_end(one, units.get(one.name, "")))
 
     @property
     def shown(self) -> tuple[str, ...]:
@@ -314,11 +313,10 @@ class Equation:
         An intercept that is probably zero has the former.
         """
         shown, conditional = self.shown_posterior, self.intercept_ci95
-        if shown.averaged_coef is None or shown.left_out_intercept is not None or self.over_models.intercept is None:
+        alone = shown.averaged_coef is None or shown.left_out_intercept is not None or self.shown_constants
+        over = None if alone else self.over_models.intercept
+        if over is None:
             return conditional
-        if self.shown_constants:
-            return conditional
-        over = self.over_models.intercept
         low, high = over.tolist() if unlike(over[None], np.array([conditional]))[0] else conditional
         return low, high
 
@@ -418,9 +416,10 @@ class Equation:
         p, ends = self.shown_posterior, self.printed_ci95
         rows = []
         for j in np.flatnonzero(p.support):
-            low, high = (round_to(end, p.sd[j]) for end in ends[j])
-            numbers = (round_to(p.coef[j], p.sd[j]), f"{low} .. {high}", f"{self.posterior.pip[j]:.3f}")
-            rows.append((self.terms[j].text, *numbers, self.coef_units[j] or ""))
+            number, _, interval = with_interval(p.coef[j], p.sd[j], ends[j])
+            rows.append(
+                (self.terms[j].text, number, interval, f"{self.posterior.pip[j]:.3f}", self.coef_units[j] or "")
+            )
         header = ("term", "coefficient", "95 % interval", ENGINES[self.posterior.method].score, "unit")
         return join(paragraph(f"verdict: {self.verdict}", strong=True), code(self.text), table(header, rows))
 
@@ -441,7 +440,6 @@ class Equation:
 
         if uncertainty not in get_args(Uncertainty):
             raise InputError(f"uncertainty must be one of {', '.join(get_args(Uncertainty))}, got {uncertainty!r}")
-
         base = sympy.latex(sympy.Symbol(self.chain.names[0]))
         dots = [base, rf"\dot{{{base}}}", rf"\ddot{{{base}}}", rf"\dddot{{{base}}}", rf"\ddddot{{{base}}}"]
         written = dict(zip(self.chain.names, dots, strict=False))
@@ -482,10 +480,7 @@ class Equation:
         (n,) array
             In the target's unit.
         """
-        return self._mean(Evaluator(columns))
-
-    def _mean(self, evaluate: Evaluator) -> Floats:
-        p = self.shown_posterior
+        p, evaluate = self.shown_posterior, Evaluator(columns)
         total: Any = p.intercept
         for j in np.flatnonzero(p.support):
             total = total + p.coef[j] * evaluate(self.terms[j])
@@ -506,12 +501,11 @@ class Equation:
         (n,) array, or a pair of them
             In the target's unit.
         """
-        evaluate = Evaluator(columns)
         n = len(next(iter(columns.values())))
-        mean = np.broadcast_to(self._mean(evaluate), (n,)).copy()
+        mean = np.broadcast_to(self.evaluate(columns), (n,)).copy()
         if not return_std:
             return mean
-        D = np.zeros((n, len(self.terms)))
+        evaluate, D = Evaluator(columns), np.zeros((n, len(self.terms)))
         for j in np.flatnonzero(self.shown_posterior.support):
             D[:, j] = evaluate(self.terms[j])
         return mean, self.shown_posterior.predictive_sd(D)
@@ -535,7 +529,7 @@ class Equation:
             An equation that was loaded from a file; `most` no whole number, or below the number of forced terms.
         """
         judged = self.scored or self
-        return parsimony_path(judged._solved(), judged.shown_posterior.support, most)
+        return parsimony_path(judged.solved(), judged.shown_posterior.support, most)
 
     def sensitivity(
         self, slab_variances: ArrayLike | None = None, prior_inclusions: ArrayLike | None = None
@@ -563,7 +557,7 @@ class Equation:
         ConvergenceWarning
             Too many models share the posterior mass to list them.
         """
-        fit = self._solved()
+        fit = self.solved()
         require_spike_slab(self.posterior.method)
         return prior_sensitivity(fit.standard.gram, fit.prior, slab_variances, prior_inclusions)
 
@@ -594,12 +588,12 @@ class Equation:
         ConvergenceWarning
             As for `sensitivity`.
         """
-        fit = self._solved()
+        fit = self.solved()
         require_spike_slab(self.posterior.method)
         return power_sensitivity(fit.standard.gram, fit.prior, powers)
 
-    def _solved(self) -> RegressionFit:
-        """The regression, which a file does not hold."""
+    def solved(self) -> RegressionFit:
+        """The regression; InputError where the equation is from a file, which does not hold it."""
         if self.fit is None:
             raise InputError("a file of equations does not hold what their posterior came from: run discover again")
         return self.fit

@@ -16,7 +16,7 @@ import numpy as np
 from bayeq.arrays import Floats
 from bayeq.equation.rest import about_rest, is_displaced
 from bayeq.equation.units import OscillatorUnits, quotient_unit
-from bayeq.equation.written import round_to
+from bayeq.equation.written import with_interval
 from bayeq.errors import InputError, UnknownNameError, whole_number
 from bayeq.expressions import Expression, parse
 from bayeq.forecast.dynamics import Dynamics, Law
@@ -58,8 +58,7 @@ class Quantity:
     @property
     def cells(self) -> tuple[str, str, str, str]:
         """Mean, standard deviation, interval and unit as text."""
-        mean, low, high = (round_to(value, self.sd) for value in (self.mean, self.low, self.high))
-        return mean, f"{self.sd:.2g}", f"{low} .. {high}", self.unit or ""
+        return *with_interval(self.mean, self.sd, (self.low, self.high)), self.unit or ""
 
 
 @dataclass(frozen=True, slots=True)
