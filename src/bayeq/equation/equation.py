@@ -12,8 +12,13 @@ from numpy.typing import ArrayLike
 
 from bayeq.arrays import Bools, Floats
 from bayeq.equation.intervals import Model, OverModels, cut, over_models, unlike
-from bayeq.equation.pip_curve import PipCurve, PriorSensitivity
-from bayeq.equation.sensitivity import power_sensitivity, prior_sensitivity, require_spike_slab
+from bayeq.equation.sensitivity import (
+    PipCurve,
+    PriorSensitivity,
+    power_sensitivity,
+    prior_sensitivity,
+    require_spike_slab,
+)
 from bayeq.equation.size_path import ParsimonyPath, parsimony_path
 from bayeq.equation.units import constant_units, quotient_unit
 from bayeq.equation.verdict import Verdict
@@ -36,9 +41,6 @@ from bayeq.states import Chain
 
 if TYPE_CHECKING:
     import pandas as pd
-
-# Rules that leave out terms to have a simpler equation, not because they are in doubt.
-SIMPLER = ("max_terms", "tolerance")
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,8 +95,7 @@ class Equation:
     runners_up : tuple of RunnerUp
         The likeliest models one move away from the terms shown, where the engine compares models.
     fit : RegressionFit or None
-        The regression and its posterior on standardised columns; None for an equation read from a file, which does not
-        hold it.
+        The regression and its posterior on standardised columns; None for an equation read from a file.
     share : (P,) array or None
         Share of the target's variance that each term explains: what R2 loses on the training rows when the term is left
         out and the others are refitted by least squares. NaN for a term that is not shown.
@@ -279,8 +280,7 @@ class Equation:
         """Intervals that know of other models."""
         if self.stored is not None or self.fit is None:
             return self.stored or OverModels(None, None, None)
-        simplified = [left.name for left in self.left_out if left.reason in SIMPLER]
-        return over_models(self.fit, self.posterior, self.shown_fit or self.fit, self.shown_posterior, simplified)
+        return over_models(self.fit, self.posterior, self.shown_fit or self.fit, self.shown_posterior, self.left_out)
 
     @property
     def averaged_ci95(self) -> Floats | None:
@@ -444,8 +444,9 @@ class Equation:
         dots = [base, rf"\dot{{{base}}}", rf"\ddot{{{base}}}", rf"\dddot{{{base}}}", rf"\ddddot{{{base}}}"]
         written = dict(zip(self.chain.names, dots, strict=False))
         if self.chain.discrete:
-            every = {self.target, *(name for _, _, term in self.summands if term is not None for name in term.names)}
-            written = {name: step_latex(name) for name in every}
+            written = {
+                name: step_latex(name) for name in {self.target, *(n for term in self.terms for n in term.names)}
+            }
         names = {sympy.Symbol(name): text for name, text in written.items()}
         if uncertainty == "none":
             right = sympy.latex(self._right_hand_side(rounded=True), symbol_names=names)

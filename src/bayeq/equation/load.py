@@ -175,11 +175,11 @@ def _restored_scores(saved: Saved | None) -> Scores | None:
     if saved is None:
         return None
 
-    def errors(found: Mapping[str, float | None]) -> dict[str, float]:
-        return {name: math.inf if error is None else error for name, error in found.items()}
-
-    errors_of = {name: errors(saved[name]) for name in ("one_step", "free_run")}
-    return Scores(**_fields(Scores, {**saved, **errors_of}))
+    errors = {
+        kind: {name: math.inf if error is None else error for name, error in saved[kind].items()}
+        for kind in ("one_step", "free_run")
+    }
+    return Scores(**_fields(Scores, {**saved, **errors}))
 
 
 def _restored_equation(content: Saved, k: int, chain: Chain, names: Sequence[str]) -> Equation:

@@ -28,8 +28,9 @@ from bayeq.equation.physical import (
     quantity,
 )
 from bayeq.equation.units import OscillatorUnits
-from bayeq.errors import InputError, UnknownNameError
+from bayeq.errors import InputError
 from bayeq.expressions import Expression
+from bayeq.figures.picture import named
 from bayeq.forecast.dynamics import Law
 
 # Draws of parameters that nobody has asked for.
@@ -79,10 +80,7 @@ def oscillator_parameters(
 def _oscillator(eq: Answer, target: str | None) -> Equation:
     """The equation meant, or the only one of second order."""
     if target is not None:
-        by_target = {equation.target: equation for equation in eq.equations}
-        if target not in by_target:
-            raise UnknownNameError("equation", target, list(by_target))
-        return by_target[target]
+        return eq[named("equation", target, [equation.target for equation in eq.equations])]
     second = [equation for equation in eq.equations if equation.chain.order == 2]
     if not second:
         raise InputError(

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayeq.arrays import Floats
-from bayeq.errors import InputError, UnknownNameError
+from bayeq.errors import InputError
 from bayeq.expressions import Evaluator
 from bayeq.figures.picture import (
     Answer,
@@ -21,6 +21,7 @@ from bayeq.figures.picture import (
     equation_of,
     given_as,
     label_of,
+    named,
     thinned,
     titled,
 )
@@ -132,9 +133,7 @@ def restoring_force_curve(
     """
     equation = equation_of(eq, target)
     names = _second_order(equation)
-    name = over or names[0]
-    if name not in names:
-        raise UnknownNameError("displacement or velocity", name, names)
+    name = named("displacement or velocity", over, names)
     rows = eq.motion(record)
     place = rows.columns[name]
     force = _measured(equation, rows.columns, rows.observed[equation.target], [name])

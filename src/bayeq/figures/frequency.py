@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayeq.arrays import Complexes, Floats
-from bayeq.errors import InputError, UnknownNameError
+from bayeq.errors import InputError
 from bayeq.figures.picture import (
     Answer,
     Run,
@@ -16,6 +16,7 @@ from bayeq.figures.picture import (
     bracketed,
     channel_of,
     frequency_label,
+    named,
     units_of,
 )
 from bayeq.figures.runs import DRAWN, MEASURED
@@ -175,9 +176,7 @@ def frequency_response(
     """
     if not eq.inputs:
         raise InputError("the equations have no input: there is no response to it")
-    source = force or eq.inputs[0]
-    if source not in eq.inputs:
-        raise UnknownNameError("input", source, eq.inputs)
+    source = named("input", force, eq.inputs)
     run, name, fs = _whole_run(eq, record, channel, "frequency response")
     rows = eq.motion(record)
     times = run.time if rows.time is None else rows.time
