@@ -12,15 +12,7 @@ from bayeq.equation.equation import Equation
 from bayeq.equation.oscillator import own_parameters
 from bayeq.equation.physical import PhysicalParameters, Quantity, forces_of
 from bayeq.equation.rows import rows_of, short_names, with_names
-from bayeq.equation.text import (
-    CERTAIN,
-    DOUBTFUL,
-    LONGEST_NAME,
-    forms_of,
-    given_of,
-    source_of,
-    unseen,
-)
+from bayeq.equation.text import CERTAIN, DOUBTFUL, LONGEST_NAME, forms_of, given_of, source_of, unseen
 from bayeq.errors import printable
 from bayeq.forecast.score import percentages
 from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP

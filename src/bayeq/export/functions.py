@@ -45,15 +45,13 @@ def to_callable(laws: Sequence[Law], inputs: Sequence[str], timed: bool, module:
         if timed:
             columns[TIME] = array.asarray(t)
         evaluate = Evaluator(columns) if module == "numpy" else lambda term: _value(term.tree, columns, array)
-        rows = [row for law in laws for row in _derivatives(law, columns, evaluate, not states)]
+        rows = [row for law in laws for row in derivatives(law, columns, evaluate, not states)]
         return array.stack(array.broadcast_arrays(*rows))
 
     return rhs
 
 
-def _derivatives(
-    law: Law, columns: Mapping[str, Any], evaluate: Callable[[Expression], Any], static: bool
-) -> list[Any]:
+def derivatives(law: Law, columns: Mapping[str, Any], evaluate: Callable[[Expression], Any], static: bool) -> list[Any]:
     """Of the states of a chain; the target of a law where there are only `static` ones."""
     total: Any = law.posterior.intercept
     for j in np.flatnonzero(law.posterior.support).tolist():

@@ -2,6 +2,6 @@
 
 page       the whole page
 page.html  its template
+page.css   its style sheet: for wide and narrow screens, and for print
 pictures   which pictures, as images for print and live with hover values
-look       its style sheet
 """

@@ -16,7 +16,6 @@ from bayeq.equation.brief import DERIVED, checks, failed, in_symbols, sentence, 
 from bayeq.equation.equation import Equation
 from bayeq.equation.explain import explanation
 from bayeq.equation.oscillator import own_parameters
-from bayeq.equation.report.look import STYLE
 from bayeq.equation.report.pictures import pictures, require_bokeh
 from bayeq.equation.rows import Row, rows_of
 from bayeq.equation.text import MARK, unseen
@@ -30,6 +29,9 @@ from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
 from bayeq.records import Record
 from bayeq.records.files import replacing
 from bayeq.regression.constraints import CONSERVED
+
+HERE = Path(__file__).parent
+STYLE = (HERE / "page.css").read_text(encoding="utf-8")
 
 # Draws the live pictures one after the other, and shows them instead of the still ones once all are there.
 START = """
@@ -89,9 +91,7 @@ def _page(eq: Answer, records: Sequence[Record], digests: Mapping[str, str], com
         made, reasons = pictures(eq, records[0] if records else None)
     scripts = [_library(), START] if any(picture.live for picture in made) else []
     allowed = " ".join(f"'sha256-{_digest(script)}'" for script in scripts) or "'none'"
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent), autoescape=True, trim_blocks=True, lstrip_blocks=True
-    )
+    environment = Environment(loader=FileSystemLoader(HERE), autoescape=True, trim_blocks=True, lstrip_blocks=True)
     return environment.get_template("page.html").render(
         title=f"Equation of motion: {', '.join(one.target for one in eq.equations)}",
         policy=f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data: blob:;"
