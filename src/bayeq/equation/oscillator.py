@@ -201,7 +201,8 @@ def _matrices(
             for j in range(n):
                 values = -masses[i] * linear[:, i, first + j]
                 if (j >= i or j not in masses) and np.any(values):
-                    own = scales[i].unit(powers, True) if scales[i].force is not None else _unit_of(scales, powers)
+                    # of coordinates without a force that of one with
+                    own = next((s.unit(powers, True) for s in (scales[i], *scales) if s.force is not None), None)
                     out.append(quantity(f"{symbol}_{i + 1}{j + 1}", f"{what}, row {i + 1}", values, own))
     return out
 
@@ -210,8 +211,3 @@ def _known(values: Floats) -> bool:
     """Whether draws are clearly not zero."""
     low, high = np.quantile(values, [0.025, 0.975])
     return bool(low > 0.0 or high < 0.0)
-
-
-def _unit_of(scales: Sequence[OscillatorUnits], powers: tuple[int, int]) -> str | None:
-    """The unit of a coordinate that has a force."""
-    return next((one.unit(powers, True) for one in scales if one.force is not None), None)

@@ -250,8 +250,9 @@ def _read(law: Law, draws: int, seed: int, span: tuple[float, float] | None) -> 
     count = whole_number("draws", draws, 100)
     x, v = chain.states
     constant, coefficients = drawn_coefficients(law, count, np.random.default_rng(seed))
-    position = None
-    if span is not None and is_displaced(coefficients, _has_constant(law), x, v, span):
+    position, p = None, law.posterior
+    has_constant = p.intercept_pip > 0.5 if p.intercept_pip is not None else abs(p.intercept) > Z95 * p.intercept_sd
+    if span is not None and is_displaced(coefficients, has_constant, x, v, span):
         position, coefficients = about_rest(coefficients, constant, x, v, span)
     # |v|*v is v*|v|
     same = {parse(f"abs({v})*{v}"): f"{v}*abs({v})"}
@@ -264,12 +265,6 @@ def drawn_coefficients(law: Law, count: int, rng: np.random.Generator) -> tuple[
     alone = Dynamics.of([law], sorted(inputs))
     constant, *columns = alone.draw(count, rng).T
     return constant, dict(zip(alone.terms[0], columns, strict=True))
-
-
-def _has_constant(law: Law) -> bool:
-    """Whether the constant is probably not zero."""
-    p = law.posterior
-    return p.intercept_pip > 0.5 if p.intercept_pip is not None else abs(p.intercept) > Z95 * p.intercept_sd
 
 
 def _named_forces(chain: Chain, coefficients: Mapping[str, Floats]) -> list[Force]:

@@ -217,6 +217,7 @@ def _print_table(
 ) -> None:
     """The table of terms, without units and shares of variance where a terminal is too narrow for them."""
     extra, left_out, terminal = _extra_columns(equation), list[str](), console.is_terminal
+    zero = equation.shown_posterior.intercept == 0.0 and equation.intercept_estimate[1] < NOTHING
     while True:
         table = Table(box=box.SIMPLE_HEAD if terminal else box.MARKDOWN, pad_edge=True)
         table.add_column("term", overflow="fold")
@@ -226,7 +227,7 @@ def _print_table(
             table.add_column(name, justify="left" if name == "unit" else "right", no_wrap=True)
         for row in rows:
             numbers = row.coefficient or row.absent, row.sd, row.interval + f" {MARK}" * row.over_models
-            if row is rows[-1] and _is_zero(equation):
+            if row is rows[-1] and zero:
                 numbers = "none", "", ""
             further = (escape(getattr(row, name)) for name in extra)
             table.add_row(with_names(escape(row.name), names), *numbers, row.score, *further)
@@ -244,11 +245,6 @@ def _extra_columns(equation: Equation) -> list[str]:
     kept = np.flatnonzero(equation.shown_posterior.support)
     out = ["share"] if equation.share is not None and len(kept) else []
     return [*out, "unit"] if any(equation.coef_units[j] for j in kept) else out
-
-
-def _is_zero(equation: Equation) -> bool:
-    """Whether the intercept is zero and was not estimated."""
-    return equation.shown_posterior.intercept == 0.0 and equation.intercept_estimate[1] < NOTHING
 
 
 def unseen(equation: Equation, most: int = MOST_UNDETERMINED, advice: str = "") -> list[str]:
