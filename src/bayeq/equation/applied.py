@@ -280,7 +280,7 @@ def _verdict(
     what = "free runs follow" if free_run else "single steps follow"
     worst = max((error.nrmse for error in judged.values()), default=math.inf)
     if worst < EQUATION.as_the_mean:
-        within = f"within {_percent(worst)} %"
+        within = percentages({"within": worst})
         if worst <= ROUGHLY:
             return "follows", f"{what} the record {within}"
         return "follows roughly", f"{what} the record only roughly, {within}"
@@ -288,14 +288,10 @@ def _verdict(
     if free_run and period <= ROUGHLY:
         return (
             "follows for a period",
-            f"free runs over one period follow the record within {_percent(period)} %, over all of it they are worse"
-            " than the mean: small errors add up, as in chaotic or lightly damped motion",
+            f"free runs over one period follow the record {percentages({'within': period})}, over all of it they are"
+            " worse than the mean: small errors add up, as in chaotic or lightly damped motion",
         )
     return "does not hold", "worse than the mean: the equation does not hold for this record"
-
-
-def _percent(error: float) -> str:
-    return f"{100 * error:.0f}" if error >= 0.1 else f"{100 * error:.2g}"
 
 
 @dataclass(frozen=True, slots=True)
