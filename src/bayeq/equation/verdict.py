@@ -190,12 +190,9 @@ def _chance(p: float) -> str:
 
 def worst(verdicts: Sequence[tuple[str, Verdict]]) -> Verdict:
     """The verdict on a system of equations, by their targets: the worst of them."""
-    for kind in KINDS[:-1]:
-        failed = [one for _, one in verdicts if one.kind == kind]
-        if failed:
-            return failed[0]
-    if len(verdicts) == 1:
-        return verdicts[0][1]
+    least = min((one for _, one in verdicts), key=lambda one: KINDS.index(one.kind))
+    if least.kind != "found" or len(verdicts) == 1:
+        return least
     return Verdict("found", "; ".join(f"{target}: {one.reason}" for target, one in verdicts))
 
 

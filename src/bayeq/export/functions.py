@@ -8,6 +8,7 @@ from __future__ import annotations
 import keyword
 import re
 from collections.abc import Callable, Mapping, Sequence
+from functools import reduce
 from importlib import import_module
 from typing import Any, NamedTuple
 
@@ -93,11 +94,7 @@ def _called(function: str, arguments: list[Any], array: Any) -> Any:
     if function == "erf":
         return import_module("jax.scipy.special").erf(*arguments)
     if function in ("max", "min"):
-        combine = array.maximum if function == "max" else array.minimum
-        total = arguments[0]
-        for argument in arguments[1:]:
-            total = combine(total, argument)
-        return total
+        return reduce(array.maximum if function == "max" else array.minimum, arguments)
     if function == "where":
         return array.where(*arguments)
     return getattr(array, FUNCTIONS[function].numpy.__name__)(*arguments)
