@@ -221,13 +221,9 @@ def window_errors(dynamics: Dynamics, motion: Motion) -> Sequence[tuple[float, s
     """Errors of free runs over windows, in units of the spread and noise of the states over the whole motion.
 
     Each is the median over windows of the rows held out, or of the training rows if none are. A window is one period
-    long, 2 pi sd(x)/sd(x') of the whole motion; that of chaotic motion at most `correlation_time`.
-
-    Returns
-    -------
-    sequence of (float, str) or None
-        Of each equation: infinite where most runs blow up; how long the windows are. None without time, with too few
-        rows, and of static laws.
+    long, 2 pi sd(x)/sd(x') of the whole motion; that of chaotic motion at most `correlation_time`. Of each equation
+    these are the error, infinite where most runs blow up, and how long the windows are; None without time, with too few
+    rows, and of static laws.
     """
     none = [None] * len(dynamics.laws)
     if not (motion.timed and dynamics.states):

@@ -32,24 +32,8 @@ from bayeq.regression.constraints import CONSERVED
 
 HERE = Path(__file__).parent
 STYLE = (HERE / "page.css").read_text(encoding="utf-8")
-
 # Draws the live pictures one after the other, and shows them instead of the still ones once all are there.
-START = """
-window.addEventListener("DOMContentLoaded", async () => {
-  const page = document.documentElement;
-  page.classList.add("scripted");
-  try {
-    let drawn = 0;
-    for (const script of document.querySelectorAll("script.plot")) {
-      await Bokeh.embed.embed_item(JSON.parse(script.textContent), script.dataset.at);
-      page.dataset.drawn = ++drawn;
-    }
-  } catch (error) {
-    page.classList.remove("scripted");
-    throw error;
-  }
-});
-"""
+START = (HERE / "page.js").read_text(encoding="utf-8")
 
 
 def require_report() -> None:
