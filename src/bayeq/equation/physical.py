@@ -232,8 +232,8 @@ def _read(law: Law, draws: int, seed: int, span: tuple[float, float] | None) -> 
     constant, coefficients = drawn_coefficients(law, count, np.random.default_rng(seed))
     position, p = None, law.posterior
     has_constant = p.intercept_pip > 0.5 if p.intercept_pip is not None else abs(p.intercept) > Z95 * p.intercept_sd
-    if span is not None and is_displaced(coefficients, has_constant, x, v, span):
-        position, coefficients = about_rest(coefficients, constant, x, v, span)
+    if span is not None and _is_displaced(coefficients, has_constant, x, v, span):
+        position, coefficients = _about_rest(coefficients, constant, x, v, span)
     # |v|*v is v*|v|
     same = {parse(f"abs({v})*{v}"): f"{v}*abs({v})"}
     return {same.get(term, term.text): values for term, values in coefficients.items()}, position
@@ -307,7 +307,7 @@ def quantity(symbol: str, meaning: str, values: Floats, unit: str | None) -> Qua
     return Quantity(symbol, meaning, float(np.nanmean(values)), float(np.nanstd(values)), float(low), float(high), unit)
 
 
-def is_displaced(
+def _is_displaced(
     coefficients: Mapping[Expression, Floats], constant: bool, x: str, v: str, span: tuple[float, float]
 ) -> bool:
     """Whether coefficients are to be taken about the position of rest: it is not zero, or the spring no polynomial.
@@ -321,7 +321,7 @@ def is_displaced(
     return constant or forced or bent or not span[0] <= 0.0 <= span[1]
 
 
-def about_rest(
+def _about_rest(
     coefficients: Mapping[Expression, Floats], constant: Floats, x: str, v: str, span: tuple[float, float]
 ) -> tuple[Floats, dict[Expression, Floats]]:
     """The positions of rest (n,), and the coefficients about them, (n,) each.
