@@ -37,22 +37,50 @@ CONSTANT = "1"
 
 @dataclass(frozen=True, slots=True)
 class DataSummary:
-    """What the equations were found from."""
+    """What the equations were found from.
 
-    files: tuple[str, ...]  # names of the records
-    n: int  # measured rows in all
-    n_train: int  # those used
+    Attributes
+    ----------
+    files : tuple of str
+        Names of the records.
+    n, n_train, n_held_out : int
+        Measured rows in all, used, and held out.
+    refitted : bool
+        Whether, scored on the rows held out, the equations were then found once more, from all rows.
+    estimated : tuple of str
+        Derivatives that were not measured but estimated.
+    smoothed : bool
+        Whether by the kinematic smoother.
+    holdout : float
+        Share of the rows of each record that was held out.
+    measured : Measured
+        Rates and ranges, for the plan of a next measurement.
+    sensors : Sensors
+        What was known of the channels.
+    seconds : float or None
+        Length of all records together [s]; None where time is not known.
+    rows_as_time : bool
+        Whether the number of the row was taken for time, which was not known: coefficients are per sample.
+    band : (float, float) or None
+        Frequencies [Hz] between which the equations were to be fitted.
+    stretches : int
+        Number of stretches of long records that noise levels, verdict and free runs are of; 0 if of all rows.
+    """
+
+    files: tuple[str, ...]
+    n: int
+    n_train: int
     n_held_out: int
-    estimated: tuple[str, ...] = ()  # derivatives that were not measured but estimated
-    smoothed: bool = False  # whether by the kinematic smoother
-    holdout: float = 0.0  # share of the rows of each record that was held out
-    refitted: bool = False  # whether, scored on the rows held out, the equations were found once more, from all rows
-    measured: Measured = field(default_factory=Measured)  # rates and ranges, for the plan of a next measurement
-    sensors: Sensors = field(default_factory=Sensors)  # what was known of the channels
-    seconds: float | None = None  # length of all records together; None where time is not known
-    rows_as_time: bool = False  # whether rows count as time, which was not known: coefficients are per sample
-    band: tuple[float, float] | None = None  # frequencies [Hz] between which the equations were to be fitted
-    stretches: int = 0  # stretches of long records that noise levels, verdict and free runs are of; 0 if of all rows
+    estimated: tuple[str, ...] = ()
+    smoothed: bool = False
+    holdout: float = 0.0
+    refitted: bool = False
+    measured: Measured = field(default_factory=Measured)
+    sensors: Sensors = field(default_factory=Sensors)
+    seconds: float | None = None
+    rows_as_time: bool = False
+    band: tuple[float, float] | None = None
+    stretches: int = 0
 
     def of_stretches(self, files: Sequence[str], used: int, held_out: int, stretches: int) -> Self:
         """The summary of all rows, this being that of some stretches of them."""
