@@ -182,7 +182,7 @@ def test_a_split_is_scored_after_its_first_rows(halves, capsys):
 
 
 def test_rows_after_those_skipped_are_not_looked_at(halves):
-    from bayeq.equation.split import test_errors as errors_of
+    from bayeq.equation.applied import test_errors as errors_of
 
     _, test, saved = halves
     eqs, record = bq.load(saved), bq.read(test)

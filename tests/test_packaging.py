@@ -20,7 +20,7 @@ VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 LARGEST = 1_500_000
 
 # Of the files of the package.
-SUFFIXES = {".py", ".typed", ".html", ".json", ".css"}
+SUFFIXES = {".py", ".typed", ".html", ".css", ".js", ".json"}
 
 # `tests/`, `studies/` and the like stay in the repository.
 SHIPPED = {"src", "pyproject.toml", "setup.cfg", "MANIFEST.in", "PKG-INFO", "README.md", "LICENSE"}
@@ -57,7 +57,8 @@ def test_the_wheel_holds_the_package_alone(built):
     here = ROOT / "src" / "bayeq"
     sources = {path.relative_to(ROOT / "src").as_posix() for path in here.rglob("*") if path.suffix in SUFFIXES}
     assert {name for name in names if name.startswith("bayeq/")} == sources
-    assert {"bayeq/py.typed", "bayeq/equation/report/page.html", "bayeq/equation/schema.json"} <= sources
+    pages = {f"bayeq/equation/report/page.{kind}" for kind in ("html", "css", "js")}
+    assert {"bayeq/py.typed", "bayeq/equation/schema.json"} | pages <= sources
     assert "[console_scripts]\nbayeq = bayeq.cli.process:run\n" in entry_points
 
 

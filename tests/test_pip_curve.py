@@ -14,8 +14,7 @@ from scipy.special import expit, logit
 import bayeq as bq
 from bayeq import Prior, PriorSensitivity, SpikeSlabBMA
 from bayeq.cli.app import main
-from bayeq.equation.pip_curve import PipCurve, draw_pip_curves
-from bayeq.equation.sensitivity import power_sensitivity, prior_sensitivity
+from bayeq.equation.sensitivity import PipCurve, draw_pip_curves, power_sensitivity, prior_sensitivity
 from bayeq.errors import ConvergenceWarning, InputError, MissingExtraError
 from bayeq.gram import Gram
 from bayeq.gram.lazy import grams_of

@@ -18,7 +18,7 @@ _NAMES = {
     "equation.equations": "Equations",
     "equation.load": "load",
     "equation.physical": "PhysicalParameters",
-    "equation.pip_curve": "PriorSensitivity",
+    "equation.sensitivity": "PriorSensitivity",
     "equation.schema": "json_schema",
     "equation.size_path": "ParsimonyPath",
     "estimators.regressors": "RVM STLSQ SpikeSlabBMA SpikeSlabGibbs SpikeSlabVB",
@@ -47,7 +47,7 @@ if TYPE_CHECKING:  # the same names for type checkers; a test compares the two l
     from bayeq.equation.equations import Equations as Equations
     from bayeq.equation.load import load as load
     from bayeq.equation.physical import PhysicalParameters as PhysicalParameters
-    from bayeq.equation.pip_curve import PriorSensitivity as PriorSensitivity
+    from bayeq.equation.sensitivity import PriorSensitivity as PriorSensitivity
     from bayeq.equation.schema import json_schema as json_schema
     from bayeq.equation.size_path import ParsimonyPath as ParsimonyPath
     from bayeq.estimators.regressors import RVM as RVM, STLSQ as STLSQ, SpikeSlabBMA as SpikeSlabBMA

@@ -12,7 +12,7 @@ from nicegui import background_tasks, ui
 
 from bayeq.app.choices import INPUT, RATE, READING, ROLES, Choice
 from bayeq.app.session import LARGEST, LOOKING, Session, safe_name
-from bayeq.equation.report.look import STYLE
+from bayeq.equation.report.page import STYLE
 from bayeq.errors import InputError
 
 # Makes a frame as high as what is in it, also when that grows.

@@ -192,7 +192,7 @@ def show_equations(
 
 def _write_curves(path: Path, found: Equations, what: Literal["sensitivity", "path"]) -> None:
     """The sensitivity or the path of each equation."""
-    from bayeq.equation.pip_curve import draw_pip_curves
+    from bayeq.equation.sensitivity import draw_pip_curves
     from bayeq.equation.size_path import draw_paths
     from bayeq.figures.style import write_by_target
 

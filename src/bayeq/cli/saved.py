@@ -212,7 +212,7 @@ def benchmark(
             )
         names = found.roles.channels
         others = reading.records(tests, names, paths_of(channels, names), progress)
-        from bayeq.equation.split import test_errors
+        from bayeq.equation.applied import test_errors
 
         errors = test_errors(found, others, skip)
     if as_json:

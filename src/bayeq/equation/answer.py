@@ -15,6 +15,7 @@ from bayeq.equation.equation import Equation
 from bayeq.equation.verdict import Verdict, worst
 from bayeq.errors import InputError
 from bayeq.export.latex import Uncertainty
+from bayeq.expressions import Evaluator
 from bayeq.expressions.functions import TIME
 from bayeq.forecast.score import Scores
 from bayeq.likelihood.unknowns import ConstantEstimate
@@ -24,7 +25,7 @@ from bayeq.records import Record, counts_rows
 from bayeq.refine.refine import Refinement
 from bayeq.regression.constraints import CONSERVED, Constraints, parse_constraints
 from bayeq.regression.design import DroppedTerm
-from bayeq.states import Chain, Motion, Roles, Sensors, Smooth, rates
+from bayeq.states import Chain, Motion, Roles, Sensors, Smooth
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -145,18 +146,10 @@ class EquationTuple(tuple[Equation, ...]):
 
 @dataclass(frozen=True)
 class HiddenState:
-    """A state that no channel measures.
+    """A state that no channel measures."""
 
-    Attributes
-    ----------
-    state : str
-        Its name.
-    log_odds_without : float
-        ln of the odds of the best equations without hidden states against those with them.
-    """
-
-    state: str
-    log_odds_without: float
+    state: str  # its name
+    log_odds_without: float  # ln of the odds of the best equations without hidden states against those with them
 
 
 @dataclass(frozen=True)
@@ -339,6 +332,8 @@ class Answer:
             In the unit of each state per second, also where the channels of a chain have units that do not belong
             together (see `Equation.unit_gains`). Where there are static laws alone: their targets.
         """
+        from bayeq.export.functions import derivatives
+
         values = _numbers(state, "the state")
         if values.shape != (len(self.states),):
             raise InputError(f"the state has {len(self.states)} entries {self.states}, got shape {values.shape}")
@@ -348,12 +343,9 @@ class Answer:
         columns = dict(zip(self.states, values, strict=True)) | dict(zip(self.inputs, given, strict=True))
         if self.roles.timed:
             columns[TIME] = np.float64(t)
-        out: list[float] = []
-        for equation in self.equations:
-            above = [*(columns[name] for name in equation.chain.states[1:]), float(equation.evaluate(columns))]
-            factors = rates(equation.chain, equation.unit_gains) or (1.0,) * (not self.states)
-            out.extend(np.multiply(factors, above[: len(factors)]).tolist())
-        return np.array(out)
+        evaluate, static = Evaluator(columns), not self.states
+        rows = [row for one in self.equations for row in derivatives(one.law, columns, evaluate, static)]
+        return np.array(rows, dtype=np.float64)
 
     def dynamics(self, intercepts: Sequence[bool] | None = None) -> Dynamics:
         """The equations shown as one system of first order; by default all have an intercept.

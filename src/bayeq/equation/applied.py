@@ -1,4 +1,7 @@
-"""Equations applied to records that they were not found from: scores, bands, and whether they hold there."""
+"""Equations applied to records that they were not found from: scores, bands, and whether they hold there.
+
+`test_errors` is for records that others have split into a beginning to start from, and the rows that are scored.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from bayeq.arrays import Floats
 from bayeq.equation import along
 from bayeq.equation.equations import Equations
 from bayeq.equation.settings import EQUATION
@@ -30,8 +34,8 @@ ROUGHLY = 0.3
 # A record that goes beyond the range that the equations are from by this share is outside of it.
 BEYOND = 0.1
 
-# Two rows are the least that a run can go over.
-LEAST_ROWS = 2
+# Two rows are the least that a run can go over, and ten those from which an initial state can be estimated.
+LEAST_ROWS, LEAST_SKIPPED = 2, 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -276,7 +280,7 @@ def _verdict(
     what = "free runs follow" if free_run else "single steps follow"
     worst = max((error.nrmse for error in judged.values()), default=math.inf)
     if worst < EQUATION.as_the_mean:
-        within = f"within {_percent(worst)} %"
+        within = percentages({"within": worst})
         if worst <= ROUGHLY:
             return "follows", f"{what} the record {within}"
         return "follows roughly", f"{what} the record only roughly, {within}"
@@ -284,11 +288,66 @@ def _verdict(
     if free_run and period <= ROUGHLY:
         return (
             "follows for a period",
-            f"free runs over one period follow the record within {_percent(period)} %, over all of it they are worse"
-            " than the mean: small errors add up, as in chaotic or lightly damped motion",
+            f"free runs over one period follow the record {percentages({'within': period})}, over all of it they are"
+            " worse than the mean: small errors add up, as in chaotic or lightly damped motion",
         )
     return "does not hold", "worse than the mean: the equation does not hold for this record"
 
 
-def _percent(error: float) -> str:
-    return f"{100 * error:.0f}" if error >= 0.1 else f"{100 * error:.2g}"
+@dataclass(frozen=True, slots=True)
+class TestError:
+    """The error of a free run over a record that the equations have not seen."""
+
+    __test__ = False  # for pytest: this is no class of tests
+
+    record: str  # its name
+    channel: str  # the state that was measured
+    skip: int  # rows at the beginning that the initial state is estimated from
+    rows: int  # those after them, which are scored
+    rmse: float  # root mean squared error in the unit of the channel; infinite of a run that blew up
+    nrmse: float  # the same over the standard deviation of the channel in these rows
+    unit: str | None  # of the channel
+
+    def __str__(self) -> str:
+        unit = f" {self.unit}" if self.unit not in (None, "1") else ""
+        share = f"{100 * self.nrmse:.3g} % of its standard deviation"
+        return (
+            f"{self.record}: free run over {self.rows} rows, {self.channel} from row {self.skip} on:"
+            f" RMSE {self.rmse:.4g}{unit} ({share})"
+        )
+
+
+def test_errors(equations: Equations, records: Sequence[Record], skip: int) -> list[TestError]:
+    """Errors of free runs over records that the equations are not from, one for each measured state.
+
+    Each run is driven by the inputs of the record alone. It begins at the first row, in the state with which it follows
+    the first `skip` rows best; the states of later rows are not looked at. InputError for fewer rows than 10 before or
+    2 after, or a channel that is missing.
+    """
+    out: list[TestError] = []
+    for number, record in enumerate(records):
+        name = record.name or f"record {number + 1}"
+        if not LEAST_SKIPPED <= skip <= record.n - 2:
+            raise InputError(
+                f"{name}: the initial state is estimated from the rows that are skipped: skip at least {LEAST_SKIPPED}"
+                f" of its {record.n} rows, and leave some; got {skip}"
+            )
+        begin = equations.simulate(record.slice(0, skip), draws=0)
+        start = {state: float(values[0]) for state, values in begin.mean.items()}
+        inputs = {channel: record[channel] for channel in equations.inputs}
+        units = {channel: unit for channel, unit in record.units.items() if channel in inputs}
+        driven = Record.from_arrays(inputs or {"t_": np.zeros(record.n)}, time=record.time, units=units, name=name)
+        run = equations.simulate(driven, initial=start, draws=0)
+        out += [_error(name, state, skip, record, run.mean) for state in start if state in record.channels]
+    return out
+
+
+def _error(name: str, state: str, skip: int, record: Record, run: Mapping[str, Floats]) -> TestError:
+    measured, found = np.asarray(record[state])[skip:], np.asarray(run[state])
+    there = np.isfinite(measured)
+    rmse = math.inf
+    if len(found) == record.n and np.isfinite(found).all():
+        rmse = float(np.sqrt(np.mean((found[skip:] - measured)[there] ** 2)))
+    sd = float(np.std(measured[there]))
+    nrmse = rmse / sd if sd > 0.0 else math.inf
+    return TestError(name, state, skip, int(there.sum()), rmse, nrmse, record.units.get(state))

@@ -10,17 +10,9 @@ import numpy as np
 from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation
 from bayeq.equation.oscillator import own_parameters
-from bayeq.equation.physical import PhysicalParameters, Quantity, force_of
+from bayeq.equation.physical import PhysicalParameters, Quantity, forces_of
 from bayeq.equation.rows import rows_of, short_names, with_names
-from bayeq.equation.text import (
-    CERTAIN,
-    DOUBTFUL,
-    LONGEST_NAME,
-    forms_of,
-    given_of,
-    source_of,
-    unseen,
-)
+from bayeq.equation.text import CERTAIN, DOUBTFUL, LONGEST_NAME, forms_of, given_of, source_of, unseen
 from bayeq.errors import printable
 from bayeq.forecast.score import percentages
 from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
@@ -114,13 +106,13 @@ def in_symbols(equation: Equation, found: PhysicalParameters, inputs: Sequence[s
     symbols = {q.symbol for q in found}
     if equation.chain.order != 2 or found.unexplained or (equation.intercept_matters and "x0" not in symbols):
         return None
-    per = "" if "m" in symbols else "/m"
-    about = f"({equation.chain.states[0]} - x0)" if "x0" in symbols else equation.chain.states[0]
+    per, x = "" if "m" in symbols else "/m", equation.chain.states[0]
+    about = f"({x} - x0)" if "x0" in symbols else x
     parts = [f"m*{equation.target}" if not per else equation.target]
     parts += [
-        f"{symbol if not per else f'({symbol}{per})'}*{with_names(term, {equation.chain.states[0]: about})}"
-        for symbol, term in force_of(equation.chain)
-        if symbol + per in symbols
+        f"{f'({force.symbol}{per})' if per else force.symbol}*{with_names(force.term, {x: about})}"
+        for force in forces_of(equation.chain)
+        if force.symbol + per in symbols
     ]
     driven = [name for name in equation.shown if name in inputs]
     return f"{' + '.join(parts)} = {driven[0] if driven and not per else '0'}" if not (driven and per) else None

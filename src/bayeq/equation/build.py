@@ -98,8 +98,9 @@ def build_equation(selection: Selection, window: tuple[float, str] | None) -> Eq
     variance, whole = gram.yty / gram.n, regression.rows.select([]) + gram.select([]) if by_rest else gram
     noise, share = noise_share(regression, variance), variance / (whole.yty / whole.n) if whole.yty > 0.0 else 1.0
     residuals = regression.residuals(shown, (*motion.roles.inputs, *motion.roles.states))
+    # of a term that equalities tie to others, the rule that decided on these
     differ = {
-        term.text: _rule(selection, term.text)
+        term.text: selection.why.get(term.text) or next(iter(selection.why.values()))
         for term, inside, seen in zip(regression.design.terms, posterior.support, shown.support, strict=True)
         if inside != seen
     }
@@ -163,6 +164,8 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
     within = max(tolerance, equation.tau)
     others = alternatives_to(full.shown_fit, full.shown_fit.expanded(full.shown), within, equation.tau == 0.0)
     exact = 1.0 - (equation.error_probability or 0.0)
+    gains = zip(equation.chain.measured, equation.unit_gains, strict=False)
+    reversed_channel = next((name for name, gain in gains if name is not None and gain < 0.0), None)
     verdict = doubted(
         equation.verdict,
         equation.chain,
@@ -172,7 +175,7 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
         again,
         exact,
         equation.error_share,
-        _reversed(equation),
+        reversed_channel,
         _dependent(equation, regression),
     )
     if equation.posterior.converged or verdict.kind in ("none", "not determined"):
@@ -181,22 +184,11 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
     return Verdict("not determined", reason, "give fewer candidate terms, or compare with another method")
 
 
-def _reversed(equation: Equation) -> str | None:
-    """A measured channel of a sign that the lowest one contradicts."""
-    pairs = zip(equation.chain.measured, equation.unit_gains, strict=False)
-    return next((name for name, gain in pairs if name is not None and gain < 0.0), None)
-
-
 def _dependent(equation: Equation, regression: Regression) -> tuple[float, int] | None:
     """Effective number of residuals of rows as measured, and their number, where most do not tell anything new."""
     found = equation.residuals
     matters = regression.counts_rows and equation.train.nrmse > LEAST_SHOWN
     return (found.n_eff, found.n) if matters and found.n_eff < EQUATION.independent * found.n else None
-
-
-def _rule(selection: Selection, name: str) -> str:
-    """The rule that decided on a term; on one that equalities tie to others, the rule that decided on these."""
-    return selection.why.get(name) or next(iter(selection.why.values()))
 
 
 def _runners_up(fit: RegressionFit, posterior: Posterior) -> tuple[RunnerUp, ...]:

@@ -12,12 +12,17 @@ from numpy.typing import ArrayLike
 
 from bayeq.arrays import Bools, Floats
 from bayeq.equation.intervals import Model, OverModels, cut, over_models, unlike
-from bayeq.equation.pip_curve import PipCurve, PriorSensitivity
-from bayeq.equation.sensitivity import power_sensitivity, prior_sensitivity, require_spike_slab
+from bayeq.equation.sensitivity import (
+    PipCurve,
+    PriorSensitivity,
+    power_sensitivity,
+    prior_sensitivity,
+    require_spike_slab,
+)
 from bayeq.equation.size_path import ParsimonyPath, parsimony_path
 from bayeq.equation.units import constant_units, quotient_unit
 from bayeq.equation.verdict import Verdict
-from bayeq.equation.written import at_end, factor_of, odds_text, round_to, row_of
+from bayeq.equation.written import at_end, factor_of, odds_text, round_to, row_of, with_interval
 from bayeq.errors import InputError
 from bayeq.export.latex import Uncertainty, sum_in_latex
 from bayeq.expressions import Evaluator, Expression, to_sympy
@@ -37,25 +42,14 @@ from bayeq.states import Chain
 if TYPE_CHECKING:
     import pandas as pd
 
-# Rules that leave out terms to have a simpler equation, not because they are in doubt.
-SIMPLER = ("max_terms", "tolerance")
-
 
 @dataclass(frozen=True, slots=True)
 class RunnerUp:
-    """A model one move away from the chosen one.
+    """A model one move away from the chosen one."""
 
-    Attributes
-    ----------
-    leaves, enters : str or None
-        Term taken out of and put into the chosen model.
-    log_odds : float
-        Log posterior odds against the chosen model, ln p(runner-up | y) / p(chosen | y).
-    """
-
-    leaves: str | None
-    enters: str | None
-    log_odds: float
+    leaves: str | None  # the term taken out of the chosen model
+    enters: str | None  # and the one put into it
+    log_odds: float  # log posterior odds against the chosen model, ln p(runner-up | y) / p(chosen | y)
 
     @property
     def odds(self) -> str:
@@ -93,8 +87,7 @@ class Equation:
     runners_up : tuple of RunnerUp
         The likeliest models one move away from the terms shown, where the engine compares models.
     fit : RegressionFit or None
-        The regression and its posterior on standardised columns; None for an equation read from a file, which does not
-        hold it.
+        The regression and its posterior on standardised columns; None for an equation read from a file.
     share : (P,) array or None
         Share of the target's variance that each term explains: what R2 loses on the training rows when the term is left
         out and the others are refitted by least squares. NaN for a term that is not shown.
@@ -211,9 +204,8 @@ class Equation:
     @property
     def at_ends(self) -> tuple[str, ...]:
         """What is to be said of constants at the ends of the ranges in which they were sought."""
-        return tuple(
-            text for one in self.shown_constants for text in at_end(one, self.constant_units.get(one.name, ""))
-        )
+        units = self.constant_units
+        return tuple(text for one in self.shown_constants for text in at_end(one, units.get(one.name, "")))
 
     @property
     def shown(self) -> tuple[str, ...]:
@@ -280,8 +272,7 @@ class Equation:
         """Intervals that know of other models."""
         if self.stored is not None or self.fit is None:
             return self.stored or OverModels(None, None, None)
-        simplified = [left.name for left in self.left_out if left.reason in SIMPLER]
-        return over_models(self.fit, self.posterior, self.shown_fit or self.fit, self.shown_posterior, simplified)
+        return over_models(self.fit, self.posterior, self.shown_fit or self.fit, self.shown_posterior, self.left_out)
 
     @property
     def averaged_ci95(self) -> Floats | None:
@@ -314,11 +305,10 @@ class Equation:
         An intercept that is probably zero has the former.
         """
         shown, conditional = self.shown_posterior, self.intercept_ci95
-        if shown.averaged_coef is None or shown.left_out_intercept is not None or self.over_models.intercept is None:
+        alone = shown.averaged_coef is None or shown.left_out_intercept is not None or self.shown_constants
+        over = None if alone else self.over_models.intercept
+        if over is None:
             return conditional
-        if self.shown_constants:
-            return conditional
-        over = self.over_models.intercept
         low, high = over.tolist() if unlike(over[None], np.array([conditional]))[0] else conditional
         return low, high
 
@@ -360,30 +350,23 @@ class Equation:
         """
         import pandas as pd
 
-        p, shown = self.posterior, self.shown_posterior
-        ci, shown_ci, averaged = self.ci95, self.shown_ci95, self.averaged_ci95
-        averaged = np.full_like(ci, np.nan) if averaged is None else averaged
+        unknown, averaged = np.full(len(self.terms), np.nan), self.averaged_ci95
+        averaged_low, averaged_high = (unknown, unknown) if averaged is None else averaged.T
         out = pd.DataFrame(
             {
                 "term": [term.text for term in self.terms],
-                "coef": p.coef,
-                "sd": p.sd,
-                "ci_low": ci[:, 0],
-                "ci_high": ci[:, 1],
-                "pip": p.pip,
-                "included": p.support,
-                "shown": shown.support,
-                "share": np.full(len(self.terms), np.nan) if self.share is None else self.share,
+                **self.included_model.columns(),
+                "pip": self.posterior.pip,
+                "included": self.posterior.support,
+                "shown": self.shown_posterior.support,
+                "share": unknown if self.share is None else self.share,
                 "unit": self.coef_units,
-                "shown_coef": shown.coef,
-                "shown_sd": shown.sd,
-                "shown_ci_low": shown_ci[:, 0],
-                "shown_ci_high": shown_ci[:, 1],
-                "averaged_ci_low": averaged[:, 0],
-                "averaged_ci_high": averaged[:, 1],
+                **self.shown_model.columns("shown_"),
+                "averaged_ci_low": averaged_low,
+                "averaged_ci_high": averaged_high,
                 "why": [self.why.get(term.text, "") for term in self.terms],
                 "effective": False,  # as earlier versions had it
-                "bound": np.full(len(self.terms), np.nan) if self.bound is None else self.bound,
+                "bound": unknown if self.bound is None else self.bound,
             }
         )
         if not self.shown_constants:
@@ -391,7 +374,8 @@ class Equation:
         rows = [row_of(one, self.constant_units.get(one.name)) for one in self.shown_constants]
         return pd.concat([out, pd.DataFrame(rows).reindex(columns=out.columns)], ignore_index=True)
 
-    def _sum(self) -> list[tuple[float, float, Expression | None]]:
+    @property
+    def summands(self) -> list[tuple[float, float, Expression | None]]:
         """Coefficients, their standard deviations and the terms shown; last the intercept, where it is written out."""
         p, sd = self.shown_posterior, self.shown_posterior.sd
         constant = [(float(p.intercept), p.intercept_sd, None)] if self.intercept_matters else []
@@ -403,7 +387,7 @@ class Equation:
         if self.chain.hidden:
             return f"{self.target} = {self.chain.law}"
         pieces: list[str] = []
-        for value, sd, term in self._sum():
+        for value, sd, term in self.summands:
             number = round_to(value, sd)
             sign, size = ("-", number[1:]) if number.startswith("-") else ("+", number)
             body = size if term is None else f"{size}*{factor_of(term.text)}"
@@ -424,9 +408,10 @@ class Equation:
         p, ends = self.shown_posterior, self.printed_ci95
         rows = []
         for j in np.flatnonzero(p.support):
-            low, high = (round_to(end, p.sd[j]) for end in ends[j])
-            numbers = (round_to(p.coef[j], p.sd[j]), f"{low} .. {high}", f"{self.posterior.pip[j]:.3f}")
-            rows.append((self.terms[j].text, *numbers, self.coef_units[j] or ""))
+            number, _, interval = with_interval(p.coef[j], p.sd[j], ends[j])
+            rows.append(
+                (self.terms[j].text, number, interval, f"{self.posterior.pip[j]:.3f}", self.coef_units[j] or "")
+            )
         header = ("term", "coefficient", "95 % interval", ENGINES[self.posterior.method].score, "unit")
         return join(paragraph(f"verdict: {self.verdict}", strong=True), code(self.text), table(header, rows))
 
@@ -447,19 +432,19 @@ class Equation:
 
         if uncertainty not in get_args(Uncertainty):
             raise InputError(f"uncertainty must be one of {', '.join(get_args(Uncertainty))}, got {uncertainty!r}")
-
         base = sympy.latex(sympy.Symbol(self.chain.names[0]))
         dots = [base, rf"\dot{{{base}}}", rf"\ddot{{{base}}}", rf"\dddot{{{base}}}", rf"\ddddot{{{base}}}"]
         written = dict(zip(self.chain.names, dots, strict=False))
         if self.chain.discrete:
-            every = {self.target, *(name for _, _, term in self._sum() if term is not None for name in term.names)}
-            written = {name: step_latex(name) for name in every}
+            written = {
+                name: step_latex(name) for name in {self.target, *(n for term in self.terms for n in term.names)}
+            }
         names = {sympy.Symbol(name): text for name, text in written.items()}
         if uncertainty == "none":
             right = sympy.latex(self._right_hand_side(rounded=True), symbol_names=names)
         else:
             parts = []
-            for value, sd, term in self._sum():
+            for value, sd, term in self.summands:
                 factor = sympy.Integer(1) if term is None else to_sympy(term.named())
                 text = "" if term is None else sympy.latex(factor, symbol_names=names)
                 parts.append((value, sd, rf"\left({text}\right)" if factor.is_Add else text))
@@ -470,7 +455,7 @@ class Equation:
         import sympy
 
         total = sympy.Integer(0)
-        for value, sd, term in self._sum():
+        for value, sd, term in self.summands:
             number = sympy.Float(float(round_to(value, sd)) if rounded else value)
             total += number if term is None else number * to_sympy(term.named() if rounded else term)
         return total
@@ -488,10 +473,7 @@ class Equation:
         (n,) array
             In the target's unit.
         """
-        return self._mean(Evaluator(columns))
-
-    def _mean(self, evaluate: Evaluator) -> Floats:
-        p = self.shown_posterior
+        p, evaluate = self.shown_posterior, Evaluator(columns)
         total: Any = p.intercept
         for j in np.flatnonzero(p.support):
             total = total + p.coef[j] * evaluate(self.terms[j])
@@ -512,12 +494,11 @@ class Equation:
         (n,) array, or a pair of them
             In the target's unit.
         """
-        evaluate = Evaluator(columns)
         n = len(next(iter(columns.values())))
-        mean = np.broadcast_to(self._mean(evaluate), (n,)).copy()
+        mean = np.broadcast_to(self.evaluate(columns), (n,)).copy()
         if not return_std:
             return mean
-        D = np.zeros((n, len(self.terms)))
+        evaluate, D = Evaluator(columns), np.zeros((n, len(self.terms)))
         for j in np.flatnonzero(self.shown_posterior.support):
             D[:, j] = evaluate(self.terms[j])
         return mean, self.shown_posterior.predictive_sd(D)
@@ -541,7 +522,7 @@ class Equation:
             An equation that was loaded from a file; `most` no whole number, or below the number of forced terms.
         """
         judged = self.scored or self
-        return parsimony_path(judged._solved(), judged.shown_posterior.support, most)
+        return parsimony_path(judged.solved(), judged.shown_posterior.support, most)
 
     def sensitivity(
         self, slab_variances: ArrayLike | None = None, prior_inclusions: ArrayLike | None = None
@@ -569,7 +550,7 @@ class Equation:
         ConvergenceWarning
             Too many models share the posterior mass to list them.
         """
-        fit = self._solved()
+        fit = self.solved()
         require_spike_slab(self.posterior.method)
         return prior_sensitivity(fit.standard.gram, fit.prior, slab_variances, prior_inclusions)
 
@@ -600,12 +581,12 @@ class Equation:
         ConvergenceWarning
             As for `sensitivity`.
         """
-        fit = self._solved()
+        fit = self.solved()
         require_spike_slab(self.posterior.method)
         return power_sensitivity(fit.standard.gram, fit.prior, powers)
 
-    def _solved(self) -> RegressionFit:
-        """The regression, which a file does not hold."""
+    def solved(self) -> RegressionFit:
+        """The regression; InputError where the equation is from a file, which does not hold it."""
         if self.fit is None:
             raise InputError("a file of equations does not hold what their posterior came from: run discover again")
         return self.fit

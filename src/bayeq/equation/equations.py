@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation
-from bayeq.errors import DataWarning, FileFormatError, InputError, UnknownNameError, as_path
+from bayeq.errors import DataWarning, FileFormatError, InputError, as_path
 from bayeq.forecast.score import Scores
 from bayeq.records import Record, with_row_numbers
 from bayeq.records.files import replacing
@@ -522,14 +522,14 @@ class Equations(Answer):
         MissingExtraError
             ArviZ is not installed.
         """
-        from bayeq.equation.draws import draws_of
+        from bayeq.equation.intervals import draws_of
+        from bayeq.figures.picture import named
 
         targets = [equation.target for equation in self]
         if target is None and len(targets) > 1:
             raise InputError(f"to_arviz: there are several equations: say which by target= ({', '.join(targets)})")
-        if target is not None and target not in targets:
-            raise UnknownNameError("equation", str(target), targets)
-        return draws_of(self[0 if target is None else target], draws, seed)
+        equation = self[named("equation", target, targets)]
+        return draws_of(equation.solved(), equation.posterior, draws, seed)
 
     def report(
         self,
@@ -589,8 +589,7 @@ class Equations(Answer):
 
 def _white_noise(equation: Equation) -> float:
     """Standard deviation of white noise that hides as much as the residuals, which may be correlated in time."""
-    residuals = equation.residuals
-    return equation.noise_sd * sqrt(residuals.n / residuals.n_eff)
+    return equation.noise_sd * sqrt(equation.residuals.n / equation.residuals.n_eff)
 
 
 def _as_list(records: Record | Sequence[Record], purpose: str) -> list[Record]:

@@ -1,18 +1,25 @@
-"""Coefficients of one model with their 95 % intervals, and intervals over models, which know the doubt about it."""
+"""Coefficients of one model with their 95 % intervals, and intervals and draws over models, which know the doubt."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from bayeq.arrays import Bools, Floats
 from bayeq.equation.settings import EQUATION
-from bayeq.inference.posterior import Posterior
+from bayeq.errors import whole_number
+from bayeq.forecast.dynamics import normal_draws
+from bayeq.inference.posterior import Draws, Posterior
 from bayeq.numerics.normal import Z95, t95
 from bayeq.regression.fit import RegressionFit
 from bayeq.regression.mixture import mixture_of
+from bayeq.selection.select import LeftOut
+
+# Rules that leave out terms to have a simpler equation, not because they are in doubt.
+SIMPLER = ("max_terms", "tolerance")
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +86,11 @@ class Model:
         """Of the terms in the model."""
         return dict(zip(self.names, self.coef[self.inside].tolist(), strict=True))
 
+    def columns(self, prefix: str = "") -> dict[str, Floats]:
+        """Columns of a table."""
+        names = (f"{prefix}{name}" for name in ("coef", "sd", "ci_low", "ci_high"))
+        return dict(zip(names, (self.coef, self.sd, *self.ci95.T), strict=True))
+
     @property
     def intercept_ci95(self) -> tuple[float, float]:
         """95 % interval of the constant."""
@@ -86,15 +98,15 @@ class Model:
 
 
 def over_models(
-    fit: RegressionFit, included: Posterior, shown_fit: RegressionFit, shown: Posterior, simplified: Sequence[str]
+    fit: RegressionFit, included: Posterior, shown_fit: RegressionFit, shown: Posterior, left_out: Sequence[LeftOut]
 ) -> OverModels:
     """Intervals over models of a fitted regression.
 
     `fit` and `shown_fit` are what the coefficients of the included terms and of those shown come from, `included` and
-    `shown` these as they are reported, and `simplified` the terms that were left out for a simpler equation.
+    `shown` these as they are reported; terms that are included and `left_out` for a simpler equation are in no model.
     """
     overall = mixture_of(fit, included)
-    struck = np.isin(shown_fit.posterior.names, simplified)
+    struck = np.isin(shown_fit.posterior.names, [left.name for left in left_out if left.reason in SIMPLER])
     same = shown_fit is fit and not struck.any() and bool((included.support == shown.support).all())
     given = overall if same else mixture_of(shown_fit, shown, struck)
     both = None if given is None else given.given_in()
@@ -119,3 +131,27 @@ def unlike(one: Floats, other: Floats) -> Bools:
     width = other[:, 1] - other[:, 0]
     ends = np.abs(one - other).max(axis=1)
     return np.maximum(ends, np.abs(one[:, 1] - one[:, 0] - width)) > EQUATION.different * width
+
+
+def draws_of(fit: RegressionFit, posterior: Posterior, draws: int, seed: int) -> Any:
+    """As `bayeq.equation.equations.Equations.to_arviz`, of one equation's regression and posterior."""
+    from bayeq.adapters.arviz import to_arviz
+
+    draws = whole_number("draws", draws, 1)
+    rng, average = np.random.default_rng(seed), fit.posterior.average
+    if average is None:
+        models, probability = fit.posterior.support[None], np.ones(1)
+    else:
+        models, probability = average.models, average.probability
+    which = rng.choice(len(models), size=draws, p=probability)
+    z = np.zeros((draws, len(posterior.names)), dtype=np.bool_)
+    theta, noise = np.zeros(z.shape), np.zeros(draws)
+    for k in np.unique(which):
+        rows = np.flatnonzero(which == k)
+        one = fit.reported(fit.given(models[k]))
+        z[rows], noise[rows] = one.support, one.noise_variance
+        theta[np.ix_(rows, np.flatnonzero(one.support))] = normal_draws(
+            one.coef[one.support], one.covariance, len(rows), rng
+        )
+    chain = Draws(z[None], theta[None], noise[None], np.log(probability[which])[None], posterior.pip[None])
+    return to_arviz(posterior, chain, rng=rng, statistics={"model": which[None]})

@@ -19,18 +19,18 @@ import numpy as np
 
 from bayeq.arrays import Bools, Floats
 from bayeq.equation.answer import DataSummary, EquationTuple, HiddenState
-from bayeq.equation.check_saved import check_content, check_restored
 from bayeq.equation.equation import Equation
 from bayeq.equation.equations import Equations
 from bayeq.equation.intervals import OverModels
-from bayeq.equation.schema import first_fault
+from bayeq.equation.schema import Saved, check_content, first_fault
 from bayeq.equation.to_json import FORMAT
 from bayeq.errors import BayeqError, FileFormatError, as_path
 from bayeq.expressions import Unknown, parse
 from bayeq.expressions.functions import TIME
 from bayeq.forecast.score import Scores
-from bayeq.inference.posterior import ModelAverage, Posterior
+from bayeq.inference.posterior import LARGEST, ModelAverage, Posterior
 from bayeq.likelihood.unknowns import ConstantEstimate
+from bayeq.numerics.normal import Z95
 from bayeq.records.io import near_files
 from bayeq.records.validate import check_name
 from bayeq.regression.design import DroppedTerm
@@ -39,8 +39,6 @@ from bayeq.states.roles import NEXT
 
 #: No file of equations is longer; the greatest dictionary makes 40 MB.
 MOST_BYTES = 256 * 2**20
-
-Saved = Mapping[str, Any]
 
 
 def load(path: str | Path) -> Equations:
@@ -161,7 +159,7 @@ def _restore(content: Saved) -> Equations:
         ]
         found = replace(found, equations=EquationTuple(bounded))
     for equation in found:
-        check_restored(equation)
+        _check_restored(equation)
     return found
 
 
@@ -175,11 +173,11 @@ def _restored_scores(saved: Saved | None) -> Scores | None:
     if saved is None:
         return None
 
-    def errors(found: Mapping[str, float | None]) -> dict[str, float]:
-        return {name: math.inf if error is None else error for name, error in found.items()}
-
-    errors_of = {name: errors(saved[name]) for name in ("one_step", "free_run")}
-    return Scores(**_fields(Scores, {**saved, **errors_of}))
+    errors = {
+        kind: {name: math.inf if error is None else error for name, error in saved[kind].items()}
+        for kind in ("one_step", "free_run")
+    }
+    return Scores(**_fields(Scores, {**saved, **errors}))
 
 
 def _restored_equation(content: Saved, k: int, chain: Chain, names: Sequence[str]) -> Equation:
@@ -283,3 +281,23 @@ def _column(terms: Sequence[Saved], name: str, known: bool = False) -> Any:
     if values.count(None) == len(values) if known else None in values:
         return None
     return np.array(values, dtype=np.float64)
+
+
+def _check_restored(equation: Equation) -> None:
+    """Check that what is computed from an equation is finite.
+
+    ValueError for numbers too large to compute with, BayeqError for units that cannot be read.
+    """
+    posteriors = [equation.posterior, equation.shown_posterior]
+    with np.errstate(all="ignore"):
+        finite = all(map(_is_finite, posteriors))
+        ends = np.array([*equation.intercept_ci95, *equation.printed_intercept_ci95])
+        finite = finite and bool((np.abs(ends) <= LARGEST).all())
+    if not finite:
+        raise ValueError(f"the equation of {equation.target} has numbers too large or too small to compute with")
+    assert len(equation.coef_units) == len(equation.terms)
+
+
+def _is_finite(p: Posterior) -> bool:
+    ends = np.abs([*p.coef, p.intercept]) + Z95 * np.array([*p.sd, p.intercept_sd])
+    return bool((ends <= LARGEST).all()) and bool(np.isfinite(p.noise_variance))

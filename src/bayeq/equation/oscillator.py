@@ -22,14 +22,16 @@ from bayeq.equation.physical import (
     Mode,
     PhysicalParameters,
     Quantity,
+    drawn_coefficients,
     first_order_parameters,
     physical_parameters,
     quantity,
 )
 from bayeq.equation.units import OscillatorUnits
-from bayeq.errors import InputError, UnknownNameError
+from bayeq.errors import InputError
 from bayeq.expressions import Expression
-from bayeq.forecast.dynamics import Dynamics, Law, normal_draws
+from bayeq.figures.picture import named
+from bayeq.forecast.dynamics import Law
 
 # Draws of parameters that nobody has asked for.
 DRAWS = 2000
@@ -78,10 +80,7 @@ def oscillator_parameters(
 def _oscillator(eq: Answer, target: str | None) -> Equation:
     """The equation meant, or the only one of second order."""
     if target is not None:
-        by_target = {equation.target: equation for equation in eq.equations}
-        if target not in by_target:
-            raise UnknownNameError("equation", target, list(by_target))
-        return by_target[target]
+        return eq[named("equation", target, [equation.target for equation in eq.equations])]
     second = [equation for equation in eq.equations if equation.chain.order == 2]
     if not second:
         raise InputError(
@@ -116,15 +115,12 @@ def system_parameters(
     driven: dict[str, dict[int, Floats]] = {}
     rng = np.random.default_rng(seed)
     for i, (law, scale) in enumerate(zip(laws, scales, strict=True)):
-        names = sorted({name for term in law.terms for name in term.names} - set(law.chain.states))
-        alone = Dynamics.of([law], names)
-        drawn = normal_draws(alone.mean, alone.covariance, count, rng)
-        for j, term in enumerate(alone.terms[0]):
+        for term, drawn in drawn_coefficients(law, count, rng)[1].items():
             slope = _slope(term, states)
             if slope is not None:
-                linear[:, i] += drawn[:, 1 + j, None] * slope * per_state * scale.per_length / scale.acceleration
+                linear[:, i] += drawn[:, None] * slope * per_state * scale.per_length / scale.acceleration
             elif term.text in inputs:
-                driven.setdefault(term.text, {})[i] = drawn[:, 1 + j] * scale.scale_force()
+                driven.setdefault(term.text, {})[i] = drawn * scale.scale_force()
             elif term.text not in unexplained:
                 unexplained.append(term.text)
     found, modes = _modes(linear, [law.chain.names[0] for law in laws])
@@ -205,7 +201,8 @@ def _matrices(
             for j in range(n):
                 values = -masses[i] * linear[:, i, first + j]
                 if (j >= i or j not in masses) and np.any(values):
-                    own = scales[i].unit(powers, True) if scales[i].force is not None else _unit_of(scales, powers)
+                    # of coordinates without a force that of one with
+                    own = next((s.unit(powers, True) for s in (scales[i], *scales) if s.force is not None), None)
                     out.append(quantity(f"{symbol}_{i + 1}{j + 1}", f"{what}, row {i + 1}", values, own))
     return out
 
@@ -214,8 +211,3 @@ def _known(values: Floats) -> bool:
     """Whether draws are clearly not zero."""
     low, high = np.quantile(values, [0.025, 0.975])
     return bool(low > 0.0 or high < 0.0)
-
-
-def _unit_of(scales: Sequence[OscillatorUnits], powers: tuple[int, int]) -> str | None:
-    """The unit of a coordinate that has a force."""
-    return next((one.unit(powers, True) for one in scales if one.force is not None), None)

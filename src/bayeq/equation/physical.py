@@ -2,6 +2,10 @@
 
 The coefficients of the equation of x'' are those of the forces over the mass: -k/m of x, -c/m of x', 1/m of the force,
 -k3/m of x**3, -c2/m of x'|x'|, -Fc/m of sign(x'). Nonlinear functions of them have their intervals by draws.
+
+A displacement need not be measured from the position of rest x_0, where without input all forces on the mass vanish:
+with x = x_0 + xi, theta x**p gives binomial(p, n) theta x_0**(p - n) of xi**n. What is called stiffness is that of
+small motion about it.
 """
 
 from __future__ import annotations
@@ -9,17 +13,18 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from bayeq.arrays import Floats
-from bayeq.equation.rest import about_rest, is_displaced
+from bayeq.dictionary import evaluate_terms
 from bayeq.equation.units import OscillatorUnits, quotient_unit
-from bayeq.equation.written import round_to
+from bayeq.equation.written import with_interval
 from bayeq.errors import InputError, UnknownNameError, whole_number
-from bayeq.expressions import parse
-from bayeq.forecast.dynamics import Dynamics, Law, normal_draws
+from bayeq.expressions import Binary, Expression, Node, Number, Symbol, parse
+from bayeq.forecast.dynamics import Dynamics, Law
+from bayeq.likelihood.signs import jumps_of
 from bayeq.markup import aligned
 from bayeq.numerics.normal import Z95
 from bayeq.states import Chain
@@ -30,53 +35,41 @@ if TYPE_CHECKING:
 # Highest power of the displacement that is a stiffness by a name of its own.
 HIGHEST_POWER = 9
 
+# Places at which a zero of the force is looked for, and how far beyond the record's range, as a share of that.
+PLACES, BEYOND = 2001, 0.5
+
+# Newton's steps, and the step of derivatives as a share of the range.
+STEPS, STEP = 20, 1e-4
+
+# Draws that may have no position of rest.
+FEW = 0.025
+
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """A number with its uncertainty.
+    """A number with its uncertainty."""
 
-    Attributes
-    ----------
-    symbol, meaning : str
-        ``k3``, "cubic stiffness".
-    mean, sd : float
-        Of the draws.
-    low, high : float
-        95 % interval: their 2.5 % and 97.5 % quantiles.
-    unit : str or None
-        None where the units of the channels are not known; empty for a pure number.
-    """
-
-    symbol: str
-    meaning: str
-    mean: float
+    symbol: str  # ``k3``
+    meaning: str  # "cubic stiffness"
+    mean: float  # of the draws, as are the standard deviation and the ends of the 95 % interval, their quantiles
     sd: float
     low: float
     high: float
-    unit: str | None
+    unit: str | None  # None where the units of the channels are not known; empty for a pure number
 
     @property
     def cells(self) -> tuple[str, str, str, str]:
         """Mean, standard deviation, interval and unit as text."""
-        mean, low, high = (round_to(value, self.sd) for value in (self.mean, self.low, self.high))
-        return mean, f"{self.sd:.2g}", f"{low} .. {high}", self.unit or ""
+        return *with_interval(self.mean, self.sd, (self.low, self.high)), self.unit or ""
 
 
 @dataclass(frozen=True, slots=True)
 class Mode:
-    """A mode of small motion.
+    """A mode of small motion."""
 
-    Attributes
-    ----------
-    frequency, damping_ratio : Quantity
-        The natural frequency [Hz], and the damping ratio.
-    shape : mapping of str to float
-        Displacements over that of the coordinate that moves most, by their names.
-    """
-
-    frequency: Quantity
+    frequency: Quantity  # the natural frequency [Hz]
     damping_ratio: Quantity
-    shape: Mapping[str, float]
+    shape: Mapping[str, float]  # displacements over that of the coordinate that moves most, by their names
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,35 +122,30 @@ class PhysicalParameters:
         return "\n".join(lines)
 
 
-@dataclass(frozen=True, slots=True)
-class _Force:
+class Force(NamedTuple):
     """A term of the equation and the parameter that it holds: coefficient = -parameter/m."""
 
     symbol: str
     meaning: str
     term: str
-    # powers of displacement and velocity, for the unit
-    powers: tuple[int, int]
+    powers: tuple[int, int]  # of displacement and velocity, for the unit
 
 
-def _forces(x: str, v: str) -> list[_Force]:
+def forces_of(chain: Chain) -> list[Force]:
+    """The forces that an oscillator may have."""
+    x, v = chain.states
     stiffness = {2: "quadratic", 3: "cubic", 5: "quintic"}
     return [
-        _Force("c", "viscous damping", v, (0, 1)),
-        _Force("k", "stiffness", x, (1, 0)),
+        Force("c", "viscous damping", v, (0, 1)),
+        Force("k", "stiffness", x, (1, 0)),
         *(
-            _Force(f"k{n}", f"{stiffness.get(n, f'order {n}')} stiffness", f"{x}**{n}", (n, 0))
+            Force(f"k{n}", f"{stiffness.get(n, f'order {n}')} stiffness", f"{x}**{n}", (n, 0))
             for n in range(2, HIGHEST_POWER + 1)
         ),
-        _Force("c2", "quadratic damping", f"{v}*abs({v})", (0, 2)),
-        _Force("c3", "cubic damping", f"{v}**3", (0, 3)),
-        _Force("Fc", "Coulomb friction", f"sign({v})", (0, 0)),
+        Force("c2", "quadratic damping", f"{v}*abs({v})", (0, 2)),
+        Force("c3", "cubic damping", f"{v}**3", (0, 3)),
+        Force("Fc", "Coulomb friction", f"sign({v})", (0, 0)),
     ]
-
-
-def force_of(chain: Chain) -> list[tuple[str, str]]:
-    """Parameters of an oscillator's forces, by symbol, and the terms that they multiply."""
-    return [(force.symbol, force.term) for force in _forces(*chain.states)]
 
 
 def physical_parameters(
@@ -182,7 +170,7 @@ def physical_parameters(
     units that are not those of a motion and its derivatives, or not those of this motion.
     """
     coefficients, position = _read(law, draws, seed, span)
-    forces = _named_forces(law, coefficients)
+    forces = _named_forces(law.chain, coefficients)
     driven = _force(inputs, coefficients, force)
     system = OscillatorUnits(units, law.chain, law.unit_gains, driven, mass is not None)
     theta = {f.symbol: coefficients[f.term] * system.scale(f.powers) for f in forces}
@@ -214,10 +202,7 @@ def first_order_parameters(
     found, other, rng = list[Quantity](), list[str](), np.random.default_rng(seed)
     for law in laws:
         (x,), gains = law.chain.states, list[Quantity]()
-        names = {name for term in law.terms for name in term.names} - {x}
-        alone = Dynamics.of([law], sorted(names))
-        drawn = normal_draws(alone.mean, alone.covariance, draws, rng)
-        values = {term.text: drawn[:, 1 + j] for j, term in enumerate(alone.terms[0])}
+        values = {term.text: drawn for term, drawn in drawn_coefficients(law, draws, rng)[1].items()}
         if x not in values or not np.quantile(-values[x], 0.025) > 0.0:
             other += [name for name in values if name not in other]
             continue
@@ -244,32 +229,31 @@ def _read(law: Law, draws: int, seed: int, span: tuple[float, float] | None) -> 
         )
     count = whole_number("draws", draws, 100)
     x, v = chain.states
-    others = {name for term in law.terms for name in term.names} - set(chain.states)
-    alone = Dynamics.of([law], sorted(others))
-    drawn = normal_draws(alone.mean, alone.covariance, count, np.random.default_rng(seed))
-    coefficients, position = {term: drawn[:, 1 + j] for j, term in enumerate(alone.terms[0])}, None
-    if span is not None and is_displaced(coefficients, _has_constant(law), x, v, span):
-        position, coefficients = about_rest(coefficients, drawn[:, 0], x, v, span)
+    constant, coefficients = drawn_coefficients(law, count, np.random.default_rng(seed))
+    position, p = None, law.posterior
+    has_constant = p.intercept_pip > 0.5 if p.intercept_pip is not None else abs(p.intercept) > Z95 * p.intercept_sd
+    if span is not None and _is_displaced(coefficients, has_constant, x, v, span):
+        position, coefficients = _about_rest(coefficients, constant, x, v, span)
     # |v|*v is v*|v|
     same = {parse(f"abs({v})*{v}"): f"{v}*abs({v})"}
     return {same.get(term, term.text): values for term, values in coefficients.items()}, position
 
 
-def _has_constant(law: Law) -> bool:
-    """Whether the constant is probably not zero."""
-    p = law.posterior
-    return p.intercept_pip > 0.5 if p.intercept_pip is not None else abs(p.intercept) > Z95 * p.intercept_sd
+def drawn_coefficients(law: Law, count: int, rng: np.random.Generator) -> tuple[Floats, dict[Expression, Floats]]:
+    """Draws of the intercept of a law and of the coefficient of each included term, (count,) each."""
+    inputs = {name for term in law.terms for name in term.names} - set(law.chain.states)
+    alone = Dynamics.of([law], sorted(inputs))
+    constant, *columns = alone.draw(count, rng).T
+    return constant, dict(zip(alone.terms[0], columns, strict=True))
 
 
-def _named_forces(law: Law, coefficients: Mapping[str, Floats]) -> list[_Force]:
+def _named_forces(chain: Chain, coefficients: Mapping[str, Floats]) -> list[Force]:
     """The forces among the terms."""
-    chain = law.chain
-    x, v = chain.states
-    forces = [f for f in _forces(x, v) if f.term in coefficients]
+    forces = [force for force in forces_of(chain) if force.term in coefficients]
     if not forces:
         raise InputError(
-            f"the equation of {chain.target} has neither a restoring term (a power of {x}) nor damping: it has no"
-            " parameters of an oscillator or a drive"
+            f"the equation of {chain.target} has neither a restoring term (a power of {chain.states[0]}) nor damping:"
+            " it has no parameters of an oscillator or a drive"
         )
     return forces
 
@@ -321,3 +305,100 @@ def quantity(symbol: str, meaning: str, values: Floats, unit: str | None) -> Qua
     """Of draws."""
     low, high = np.nanquantile(values, [0.025, 0.975])
     return Quantity(symbol, meaning, float(np.nanmean(values)), float(np.nanstd(values)), float(low), float(high), unit)
+
+
+def _is_displaced(
+    coefficients: Mapping[Expression, Floats], constant: bool, x: str, v: str, span: tuple[float, float]
+) -> bool:
+    """Whether coefficients are to be taken about the position of rest: it is not zero, or the spring no polynomial.
+
+    Of the terms' coefficients only which terms there are counts; `constant` says whether the equation has one, and the
+    span is that of the samples of the displacement `x`.
+    """
+    alone = [term for term in coefficients if term.names == {x}]
+    forced = any(abs(float(evaluate_terms([term], {x: np.zeros(1)})[0, 0])) > 0.0 for term in alone)
+    bent = any(_powers(term.tree, x, v) is None and not any(jumps_of(term.tree)) for term in alone)
+    return constant or forced or bent or not span[0] <= 0.0 <= span[1]
+
+
+def _about_rest(
+    coefficients: Mapping[Expression, Floats], constant: Floats, x: str, v: str, span: tuple[float, float]
+) -> tuple[Floats, dict[Expression, Floats]]:
+    """The positions of rest (n,), and the coefficients about them, (n,) each.
+
+    Given are n draws of the terms' coefficients and of the constant, and the least and largest displacement of the
+    record. Coefficients are of terms in the displacement from the position of rest; other terms in `x` alone add their
+    slope to that of `x`, and those that are not powers of displacement and velocity stay. InputError if there is no
+    such position in or near the range of the record.
+    """
+    alone = {term: values for term, values in coefficients.items() if term.names == {x}}
+    width = span[1] - span[0]
+    low, high = span[0] - BEYOND * width, span[1] + BEYOND * width
+
+    def force(position: Floats, thetas: Mapping[Expression, Floats], level: Floats) -> Floats:
+        columns = evaluate_terms(list(thetas), {x: position})
+        return np.zeros(position.shape) + level + sum(theta * columns[:, j] for j, theta in enumerate(thetas.values()))
+
+    places = np.linspace(low, high, PLACES)
+    mean = {term: np.asarray(values.mean()) for term, values in alone.items()}
+    along = force(places, mean, np.asarray(constant.mean()))
+    stable = np.flatnonzero((along[:-1] > 0.0) & (along[1:] <= 0.0))
+    if not len(stable):
+        raise _not_at_rest(x, span)
+    nearest = places[stable[np.argmin(np.abs(places[stable] - 0.5 * (span[0] + span[1])))]]
+    position, step = np.full(len(constant), nearest), STEP * width
+
+    def slope(position: Floats, thetas: Mapping[Expression, Floats]) -> Floats:
+        nothing = np.zeros(len(position))
+        return (force(position + step, thetas, nothing) - force(position - step, thetas, nothing)) / (2.0 * step)
+
+    with np.errstate(all="ignore"):
+        for _ in range(STEPS):
+            position = position - force(position, alone, constant) / slope(position, alone)
+    position = np.where((position > low) & (position < high), position, np.nan)
+    if np.isnan(position).mean() > FEW:
+        raise _not_at_rest(x, span)
+
+    moved: dict[Expression, Floats] = {}
+    others: dict[Expression, Floats] = {}
+    for term, theta in coefficients.items():
+        powers = _powers(term.tree, x, v)
+        if powers is None:
+            others[term] = theta
+            continue
+        p, q = powers
+        for n in range(p + 1):
+            if n + q > 0:
+                key = _monomial(x, n, v, q)
+                moved[key] = moved.get(key, 0.0) + math.comb(p, n) * theta * position ** (p - n)
+    bent = {term: theta for term, theta in others.items() if term in alone}
+    if bent:
+        key = parse(x)
+        moved[key] = moved.get(key, 0.0) + slope(position, bent)
+    return position, {**moved, **others}
+
+
+def _not_at_rest(x: str, span: tuple[float, float]) -> InputError:
+    return InputError(
+        f"the equation has no certain position of rest near the record's range of {x}, {span[0]:.4g} to {span[1]:.4g}:"
+        f" measure {x} from the position of rest (bayeq.remove_offset, --remove-offset {x}) and look again"
+    )
+
+
+def _powers(node: Node, x: str, v: str) -> tuple[int, int] | None:
+    """Powers of displacement and velocity of a monomial; None of other terms."""
+    match node:
+        case Symbol(name) if name in (x, v):
+            return (1, 0) if name == x else (0, 1)
+        case Binary("**", Symbol(name), Number(int(power))) if name in (x, v):
+            return (power, 0) if name == x else (0, power)
+        case Binary("*", left, right):
+            one, other = _powers(left, x, v), _powers(right, x, v)
+            return None if one is None or other is None else (one[0] + other[0], one[1] + other[1])
+        case _:
+            return None
+
+
+def _monomial(x: str, p: int, v: str, q: int) -> Expression:
+    parts = [name if power == 1 else f"{name}**{power}" for name, power in ((x, p), (v, q)) if power]
+    return parse("*".join(parts))

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from bayeq.equation.equation import Equation
 from bayeq.equation.size_path import percent
-from bayeq.equation.written import plain_sd, round_to
+from bayeq.equation.written import plain_sd, with_interval
 from bayeq.inference.engines import NOTEWORTHY_PIP
 
 _NAME = re.compile(r"[^\W\d]\w*")
@@ -47,7 +47,10 @@ def rows_of(equation: Equation, conditional: bool = False) -> list[Row]:
         if equation.chain.hidden:  # all of its law is in
             continue
         if shown.support[j]:
-            numbers, over_models = _numbers(shown.coef[j], shown.sd[j], intervals[j]), equation.printed_over_models[j]
+            numbers, over_models = (
+                with_interval(shown.coef[j], shown.sd[j], intervals[j]),
+                equation.printed_over_models[j],
+            )
             share = math.nan if equation.share is None else equation.share[j]
             rows.append(
                 Row(
@@ -62,17 +65,12 @@ def rows_of(equation: Equation, conditional: bool = False) -> list[Row]:
         elif p.support[j] or pip >= NOTEWORTHY_PIP:
             rows.append(Row(term.text, absent="not shown" if p.support[j] else "not included", pip=pip))
     for one in equation.shown_constants:
-        numbers, unit = _numbers(one.value, plain_sd(one), one.ci95), equation.constant_units.get(one.name, "")
+        numbers, unit = with_interval(one.value, plain_sd(one), one.ci95), equation.constant_units.get(one.name, "")
         rows.append(Row(f"{{{one.name}}}", *numbers, unit=unit))
     ends = equation.intercept_ci95 if conditional else equation.printed_intercept_ci95
     over_models, unit = ends != equation.intercept_ci95, equation.units.get(equation.target, "")
-    numbers = _numbers(*equation.intercept_estimate, ends)
+    numbers = with_interval(*equation.intercept_estimate, ends)
     return [*rows, Row("intercept", *numbers, over_models=over_models, unit=unit)]
-
-
-def _numbers(value: float, sd: float, interval: Sequence[float]) -> tuple[str, str, str]:
-    low, high = (round_to(end, sd) for end in interval)
-    return round_to(value, sd), f"{sd:.2g}", f"{low} .. {high}"
 
 
 def short_names(texts: Sequence[str], longest: int) -> dict[str, str]:

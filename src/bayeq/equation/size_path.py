@@ -153,10 +153,11 @@ class ParsimonyPath:
             return f"{'->' if chosen else '':2}{size:5} {log_evidence - best:11.1f} {errors}  "
 
         rows = zip(self.is_chosen, self.size, self.log_evidence, self.r2, self.held_out_r2, strict=True)
+        steps = (" ".join([*(f"+ {name}" for name in new), *(f"- {name}" for name in old)]) for new, old in self.steps)
         lines = [
             f"{self.target}: best model of each size; evidence in nats below the best",
             f"{'terms':>7} {'evidence':>11} {'training':>9} {'held-out':>9}  against the line above",
-            *((line(*row) + _signed(step)).rstrip() for row, step in zip(rows, self.steps, strict=True)),
+            *((line(*row) + step).rstrip() for row, step in zip(rows, steps, strict=True)),
         ]
         named = self._named(self.chosen)
         if not self.is_chosen.any():
@@ -182,10 +183,6 @@ def _error(r2: float) -> str:
     value = 100.0 * np.sqrt(1.0 - r2)
     text = f"{value:.1f}" if value >= 10 else f"{value:.2f}" if value >= 0.1 else f"{value:.2g}"
     return f"{text:>7} %"
-
-
-def _signed(step: Step) -> str:
-    return " ".join(f"{sign} {name}" for sign, names in zip("+-", step, strict=True) for name in names)
 
 
 def parsimony_path(fit: RegressionFit, shown: Bools, most: int | None = None) -> ParsimonyPath:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from math import isclose
 
 import numpy as np
 from rich import box, markup
@@ -66,7 +65,7 @@ def render(eq: Answer, with_warnings: bool = True, conditional: bool = False) ->
     console = text_console(WIDE)
     console.print(f"verdict: {escape(str(eq.verdict))}\n")
     for equation in eq.equations:
-        _render_equation(console, equation, eq.method, eq.scores, conditional)
+        _render_equation(console, equation, ENGINES[eq.method].score, eq.scores, conditional)
     console.print(f"{markup.escape(source_of(eq))}; method: {eq.method} (bayeq discover -h)")
     if eq.data.estimated:
         how = "smoothing" if eq.data.smoothed else "central differences"
@@ -136,14 +135,13 @@ def _rate(eq: Answer) -> str:
 
 
 def _render_equation(
-    console: Console, equation: Equation, method: str, scores: Scores | None, conditional: bool
+    console: Console, equation: Equation, score: str, scores: Scores | None, conditional: bool
 ) -> None:
     console.print(f"[bold]{escape(equation.text)}[/bold]\n")
     rows = rows_of(equation, conditional)
-    names = short_names(
-        [row.name for row in rows if row.score], LONGEST_NAME if console.width >= ROOMY else LONGEST_NAME // 2
-    )
-    _print_table(console, equation, rows, ENGINES[method].score, names)
+    longest = LONGEST_NAME if console.width >= ROOMY else LONGEST_NAME // 2
+    names = short_names([row.name for row in rows if row.score], longest)
+    _print_table(console, equation, rows, score, names)
     if names:
         console.print(escape(f"\nin the table: {', '.join(f'{short} is {name}' for name, short in names.items())}"))
     if any(row.over_models for row in rows):
@@ -154,19 +152,11 @@ def _render_equation(
     rest = len(equation.terms) - sum(bool(row.score) for row in rows)
     if rest:
         low = [p for p in equation.posterior.pip if p < NOTEWORTHY_PIP]
-        console.print(
-            f"\n{rest} more candidates not included, {ENGINES[method].score} at most {max(low, default=0.0):.2g}"
-        )
+        console.print(f"\n{rest} more candidates not included, {score} at most {max(low, default=0.0):.2g}")
     console.print(f"noise sd {round_to(equation.noise_sd, equation.noise_sd / 50)}")
-    for line in (*_units(equation), *_fits(equation), *_free_run(equation, scores)):
-        console.print(escape(line))
-    for line in _residuals(equation):
-        console.print(escape(line))
-    for line in (*forms_of(equation), *equation.at_ends):
-        console.print(escape(line))
-    for line in _differences(equation, ENGINES[method].score):
-        console.print(escape(line))
-    for line in unseen(equation):
+    checks = [*_units(equation), *_fits(equation), *_free_run(equation, scores), *_residuals(equation)]
+    doubts = [*forms_of(equation), *equation.at_ends, *_differences(equation, score), *unseen(equation)]
+    for line in (*checks, *doubts):
         console.print(escape(line))
     # of an equation that terms were left out of, the likelier ones are no runners-up
     runners_up = [r for r in equation.runners_up if not equation.left_out or r.log_odds <= 0]
@@ -206,9 +196,8 @@ def _differences(equation: Equation, score: str) -> list[str]:
     p, shown, out = equation.posterior, equation.shown_posterior, list[str]()
     for left in equation.left_out:
         sure = "certain" if left.pip > CERTAIN else "likely"
-        within = left.reason == "tolerance"
         found = f"{score} {left.pip:.3f}, explains {percent(left.share)}"
-        if within:
+        if left.reason == "tolerance":
             out.append(f"{left.name} is {sure}, but changes nothing here: left out ({found}; --tolerance 0 shows it)")
         else:
             out.append(f"included, but left out ({left.reason}): {left.name}, {found}")
@@ -233,6 +222,7 @@ def _print_table(
 ) -> None:
     """The table of terms, without units and shares of variance where a terminal is too narrow for them."""
     extra, left_out, terminal = _extra_columns(equation), list[str](), console.is_terminal
+    zero = equation.shown_posterior.intercept == 0.0 and equation.intercept_estimate[1] < NOTHING
     while True:
         table = Table(box=box.SIMPLE_HEAD if terminal else box.MARKDOWN, pad_edge=True)
         table.add_column("term", overflow="fold")
@@ -242,7 +232,7 @@ def _print_table(
             table.add_column(name, justify="left" if name == "unit" else "right", no_wrap=True)
         for row in rows:
             numbers = row.coefficient or row.absent, row.sd, row.interval + f" {MARK}" * row.over_models
-            if row is rows[-1] and _is_zero(equation):
+            if row is rows[-1] and zero:
                 numbers = "none", "", ""
             further = (escape(getattr(row, name)) for name in extra)
             table.add_row(with_names(escape(row.name), names), *numbers, row.score, *further)
@@ -262,11 +252,6 @@ def _extra_columns(equation: Equation) -> list[str]:
     return [*out, "unit"] if any(equation.coef_units[j] for j in kept) else out
 
 
-def _is_zero(equation: Equation) -> bool:
-    """Whether the intercept is zero and was not estimated."""
-    return equation.shown_posterior.intercept == 0.0 and equation.intercept_estimate[1] < NOTHING
-
-
 def unseen(equation: Equation, most: int = MOST_UNDETERMINED, advice: str = "") -> list[str]:
     """A line on terms that could matter elsewhere and are too small here, if there are any."""
     if not equation.undetermined or equation.bound is None:
@@ -281,7 +266,7 @@ def _units(equation: Equation) -> list[str]:
     """What the channels of a chain are to each other, where their units do not belong together."""
     chain = equation.chain
     factors = rates(chain, equation.unit_gains)
-    if all(isclose(factor, 1.0) for factor in factors):
+    if all(math.isclose(factor, 1.0) for factor in factors):
         return []
     links = zip(chain.names[:-1], factors, chain.names[1:], strict=True)
     return [f"units of the channels: {', '.join(f'd{low}/dt = {factor:.6g} {high}' for low, factor, high in links)}"]

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 
-from bayeq.equation.answer import Answer, HiddenState
+from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation
+from bayeq.equation.intervals import Model
 from bayeq.equation.oscillator import own_parameters
-from bayeq.equation.physical import Quantity
 from bayeq.forecast.score import Scores
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.unknowns import ConstantEstimate
@@ -37,6 +36,7 @@ def _attributes(of: object, *names: str) -> dict[str, Any]:
 def to_dict(eq: Answer) -> dict[str, Any]:
     """The answer as plain data, every candidate term of every equation in it."""
     files, found = eq.data.files, own_parameters(eq)
+    hidden = [{"state": one.state, "log_odds_without": _finite(one.log_odds_without)} for one in eq.hidden]
     return {
         "version": version("bayeq"),
         "method": eq.method,
@@ -57,9 +57,12 @@ def to_dict(eq: Answer) -> dict[str, Any]:
             "units": {name: unit for equation in eq.equations for name, unit in equation.units.items()},
         },
         "equations": [_equation(equation) for equation in eq.equations],
-        **({"constants": list(_constants(eq))} if eq.constants else {}),
-        **({"hidden": [_hidden(one) for one in eq.hidden]} if eq.hidden else {}),
-        "parameters": [_parameter(one) for one in found or ()],
+        **({"constants": _constants(eq)} if eq.constants else {}),
+        **({"hidden": hidden} if hidden else {}),
+        "parameters": [
+            {"name": one.symbol, "value": one.mean, "sd": one.sd, "ci95": [one.low, one.high], "unit": one.unit}
+            for one in found or ()
+        ],
         "modes": [
             {
                 "frequency": one.frequency.mean,
@@ -81,17 +84,13 @@ def to_dict(eq: Answer) -> dict[str, Any]:
     }
 
 
-def _parameter(one: Quantity) -> dict[str, Any]:
-    return {"name": one.symbol, "value": one.mean, "sd": one.sd, "ci95": [one.low, one.high], "unit": one.unit}
-
-
 def _scores(scores: Scores) -> dict[str, Any]:
     """Errors of the rows held out; None for the infinite one of a run that blew up."""
-
-    def finite(errors: Mapping[str, float]) -> dict[str, float | None]:
-        return {name: error if math.isfinite(error) else None for name, error in errors.items()}
-
-    return {**asdict(scores), "one_step": finite(scores.one_step), "free_run": finite(scores.free_run)}
+    errors = {
+        kind: {name: _finite(error) for name, error in found.items()}
+        for kind, found in (("one_step", scores.one_step), ("free_run", scores.free_run))
+    }
+    return asdict(scores) | errors
 
 
 def _equation(equation: Equation) -> dict[str, Any]:
@@ -120,19 +119,13 @@ def _equation(equation: Equation) -> dict[str, Any]:
     }
 
 
-def _constants(eq: Answer) -> Iterator[dict[str, Any]]:
+def _constants(eq: Answer) -> list[dict[str, Any]]:
     """Constants inside terms, each once."""
-    seen = set[str]()
+    found: dict[str, dict[str, Any]] = {}
     for equation in eq.equations:
         for one in equation.constants:
-            if one.name not in seen:
-                seen.add(one.name)
-                yield _constant(equation, one)
-
-
-def _hidden(one: HiddenState) -> dict[str, Any]:
-    odds = one.log_odds_without
-    return {"state": one.state, "log_odds_without": odds if math.isfinite(odds) else None}
+            found.setdefault(one.name, _constant(equation, one))
+    return list(found.values())
 
 
 def _constant(equation: Equation, one: ConstantEstimate) -> dict[str, Any]:
@@ -145,38 +138,40 @@ def _terms(equation: Equation) -> list[dict[str, Any]]:
     p, shown, names = equation.posterior, equation.shown_posterior, [term.text for term in equation.terms]
     columns: dict[str, Any] = {
         "name": names,
-        "coef": p.coef,
-        "sd": p.sd,
-        "ci95": equation.ci95,
+        **_model("", equation.included_model),
         "pip": p.pip,
         "included": p.support,
         "shown": shown.support,
         "why": [equation.why.get(name) for name in names],
         "effective": [False] * len(names),  # as earlier versions had it
-        "shown_coef": shown.coef,
-        "shown_sd": shown.sd,
-        "shown_ci95": equation.shown_ci95,
+        **_model("shown_", equation.shown_model),
     }
     if shown.likelihood_coef is not None and shown.likelihood_sd is not None:
         half = Z95 * shown.likelihood_sd
         columns |= _attributes(shown, "likelihood_coef", "likelihood_sd")
         columns["likelihood_ci95"] = np.column_stack([shown.likelihood_coef - half, shown.likelihood_coef + half])
     columns |= _attributes(equation, "printed_ci95", "printed_over_models")
-    if p.averaged_coef is not None and p.averaged_sd is not None and equation.averaged_ci95 is not None:
-        columns |= {**_attributes(p, "averaged_coef", "averaged_sd"), "averaged_ci95": equation.averaged_ci95}
+    if equation.averaged_model is not None:
+        columns |= _model("averaged_", equation.averaged_model)
     absent = np.full(len(names), np.nan)
+    bound = absent if equation.bound is None else equation.bound
     share = absent if equation.share is None else np.where(shown.support, equation.share, np.nan)
     columns |= {
-        "share": _finite(share.tolist()),  # of a term that is shown
+        "share": list(map(_finite, share.tolist())),  # of a term that is shown
         "unit": equation.coef_units,
-        "bound": _finite((absent if equation.bound is None else equation.bound).tolist()),  # of one not included
+        "bound": list(map(_finite, bound.tolist())),  # of one not included
     }
     return [dict(zip(columns, row, strict=True)) for row in zip(*map(_plain, columns.values()), strict=True)]
 
 
-def _finite(numbers: list[float]) -> list[float | None]:
+def _model(prefix: str, model: Model) -> dict[str, Any]:
+    """Coefficients of all candidates, their standard deviations and intervals."""
+    return {f"{prefix}{name}": getattr(model, name) for name in ("coef", "sd", "ci95")}
+
+
+def _finite(number: float) -> float | None:
     """None for NaN and for infinity, which JSON does not have."""
-    return [number if math.isfinite(number) else None for number in numbers]
+    return number if math.isfinite(number) else None
 
 
 def _average(p: Posterior) -> dict[str, Any] | None:
@@ -253,4 +248,4 @@ def _saved_model(p: Posterior) -> dict[str, Any]:
 
 def _freedom(p: Posterior) -> list[float | None] | None:
     """Degrees of freedom of all terms; None for infinitely many."""
-    return None if p.freedom is None else _finite(p.freedom.tolist())
+    return None if p.freedom is None else list(map(_finite, p.freedom.tolist()))

@@ -20,25 +20,10 @@ from bayeq.records.units import Unit, derivative_ratio, in_si, multiply_units, p
 from bayeq.states import Chain
 
 # Functions of numbers without a unit; those of angles, and units of these.
-PURE = [
-    "sin",
-    "cos",
-    "tan",
-    "asin",
-    "acos",
-    "atan",
-    "exp",
-    "log",
-    "log10",
-    "log1p",
-    "sinh",
-    "cosh",
-    "tanh",
-    "asinh",
-    "acosh",
-    "atanh",
-    "erf",
-]
+PURE = (
+    "sin", "cos", "tan", "asin", "acos", "atan", "exp", "log", "log10", "log1p", "sinh", "cosh", "tanh", "asinh",
+    "acosh", "atanh", "erf",
+)  # fmt: skip
 OF_ANGLES = ("sin", "cos", "tan")
 RADIANS, DEGREES = (Unit(), parse_unit("rad")), (parse_unit("deg"), parse_unit("°"))
 # Numbers by which a term converts degrees itself.
@@ -284,14 +269,10 @@ class OscillatorUnits:
     def unit(self, powers: tuple[int, int], with_mass: bool) -> str | None:
         """Unit of the parameter of x**p v**q, as a force or per unit of mass; None where it is not known."""
         p, q = powers
-        if self.length is None or (with_mass and self.force is None):
+        of_term = self.force if with_mass else multiply_units(dict(self.length or {}), {"s": Fraction(-2)})
+        if self.length is None or of_term is None:
             return None
-        if with_mass:
-            assert self.force is not None
-            out = dict(self.force)
-        else:
-            out = multiply_units(dict(self.length), {"s": Fraction(-2)})
-        multiply_units(out, self.length, -(p + q))
+        out = multiply_units(dict(of_term), self.length, -(p + q))
         return _written(multiply_units(out, {"s": Fraction(q)}))
 
 

@@ -69,36 +69,16 @@ class Verdict:
 
 
 def judge(
-    target: str,
-    fit: Fit,
-    held_out: bool,
-    noise: float,
-    window: tuple[float, str] | None,
-    target_estimated: bool = False,
-    share: float = 1.0,
-    numbers: float = 1.0,
+    target: str,  # the left-hand side
+    fit: Fit,  # on these rows; of an estimated target, of what the smoother makes of both sides
+    held_out: bool,  # whether these are the rows held out, not the training rows
+    noise: float,  # share of the target's variance that is noise, or error of its estimate, as far as it is known
+    window: tuple[float, str] | None,  # error of free runs over windows, from `window_errors`, and how long these are
+    target_estimated: bool = False,  # by a smoother: where the target is hardly more than its error, runs decide
+    share: float = 1.0,  # the target's variance on these rows as a share of that over the whole motion
+    numbers: float = 1.0,  # independent ones in a row of the target
 ) -> Verdict:
-    """The verdict on one equation.
-
-    Parameters
-    ----------
-    target : str
-        Its left-hand side.
-    fit : Fit
-        On the rows held out, or on the training rows; of an estimated target, of what the smoother makes of both sides.
-    held_out : bool
-        Which of them.
-    noise : float
-        Share of the target's variance on these rows that is noise, or error of its estimate, as far as it is known.
-    window : (float, str) or None
-        Error of free runs over windows, from `window_errors`, and how long these are; None where there are none.
-    target_estimated : bool
-        Whether the target is no measurement but a smoother's: where it is hardly more than its error, runs decide.
-    share : float
-        The target's variance on these rows as a share of that over the whole motion.
-    numbers : float
-        Independent numbers in a row of the target.
-    """
+    """The verdict on one equation."""
     where = f"the {'held-out' if held_out else 'training'} rows"
     r2, of_all, limit = fit.r2, "", 3.0 * math.sqrt(2.0 / max(numbers * fit.n, 1.0))
     # the variance of n rows errs by sqrt(2/n) of itself: less than that tells nothing of what is above the noise
@@ -126,42 +106,19 @@ def judge(
 
 
 def doubted(
-    verdict: Verdict,
-    chain: Chain,
-    others: Alternatives,
-    lacking: Discrepancy | None,
-    coloured: Octave | None,
-    again: Repeating | None = None,
-    exact: float = 1.0,
-    left: float | None = None,
-    reversed_channel: str | None = None,
+    verdict: Verdict,  # of `judge`
+    chain: Chain,  # its highest derivative is the left-hand side
+    others: Alternatives,  # equations that predict otherwise
+    lacking: Discrepancy | None,  # what the motion needs and the equation does not hold
+    coloured: Octave | None,  # where what is left of a channel is not white
+    again: Repeating | None = None,  # motion that repeats itself and does not tell the candidates apart
+    exact: float = 1.0,  # probability that the law lacks no function of the states
+    left: float | None = None,  # share of the target's standard deviation that the terms leave beside noise
+    reversed_channel: str | None = None,  # one that contradicts the lowest of its chain in sign
+    # effective number of residuals of rows as measured, and their number, where it is less than half of that
     n_eff: tuple[float, int] | None = None,
 ) -> Verdict:
-    """The verdict of an equation that is not wrong: is it determined, and is it all there is?
-
-    Parameters
-    ----------
-    verdict : Verdict
-        Of `judge`.
-    chain : Chain
-        Its highest derivative is the left-hand side.
-    others : Alternatives
-        Equations that predict otherwise.
-    lacking : Discrepancy or None
-        What the motion needs and the equation does not hold.
-    coloured : Octave or None
-        Where what is left of a channel is not white.
-    again : Repeating, optional
-        Motion that repeats itself and does not tell the candidates apart.
-    exact : float
-        Probability that the law lacks no function of the states.
-    left : float, optional
-        Share of the target's standard deviation that the terms leave beside noise.
-    reversed_channel : str, optional
-        One that contradicts the lowest of its chain in sign.
-    n_eff : (float, int), optional
-        Effective number of residuals of rows as measured, and their number, where it is less than half of that.
-    """
+    """The verdict of an equation that is not wrong: is it determined, and is it all there is?"""
     target, rate = chain.target, "per sample" if chain.discrete else "Hz"
     if verdict.kind == "none" or chain.hidden:  # whose law is stated
         return verdict
@@ -233,12 +190,9 @@ def _chance(p: float) -> str:
 
 def worst(verdicts: Sequence[tuple[str, Verdict]]) -> Verdict:
     """The verdict on a system of equations, by their targets: the worst of them."""
-    for kind in KINDS[:-1]:
-        failed = [one for _, one in verdicts if one.kind == kind]
-        if failed:
-            return failed[0]
-    if len(verdicts) == 1:
-        return verdicts[0][1]
+    least = min((one for _, one in verdicts), key=lambda one: KINDS.index(one.kind))
+    if least.kind != "found" or len(verdicts) == 1:
+        return least
     return Verdict("found", "; ".join(f"{target}: {one.reason}" for target, one in verdicts))
 
 
@@ -267,13 +221,9 @@ def window_errors(dynamics: Dynamics, motion: Motion) -> Sequence[tuple[float, s
     """Errors of free runs over windows, in units of the spread and noise of the states over the whole motion.
 
     Each is the median over windows of the rows held out, or of the training rows if none are. A window is one period
-    long, 2 pi sd(x)/sd(x') of the whole motion; that of chaotic motion at most `correlation_time`.
-
-    Returns
-    -------
-    sequence of (float, str) or None
-        Of each equation: infinite where most runs blow up; how long the windows are. None without time, with too few
-        rows, and of static laws.
+    long, 2 pi sd(x)/sd(x') of the whole motion; that of chaotic motion at most `correlation_time`. Of each equation
+    these are the error, infinite where most runs blow up, and how long the windows are; None without time, with too few
+    rows, and of static laws.
     """
     none = [None] * len(dynamics.laws)
     if not (motion.timed and dynamics.states):

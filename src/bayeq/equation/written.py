@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from bayeq.likelihood.unknowns import ConstantEstimate
@@ -57,6 +57,12 @@ def round_to(value: float, sd: float) -> str:
         return f"{value:g}"
     digits = 12 if sd <= 0 else math.floor(math.log10(abs(value))) - math.floor(math.log10(sd)) + 2
     return f"{value:.{min(max(digits, 3), 12)}g}"
+
+
+def with_interval(value: float, sd: float, interval: Sequence[float]) -> tuple[str, str, str]:
+    """A number, its standard deviation and its interval."""
+    low, high = (round_to(end, sd) for end in interval)
+    return round_to(value, sd), f"{sd:.2g}", f"{low} .. {high}"
 
 
 def odds_text(log_odds: float) -> str:

@@ -18,8 +18,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 
 from bayeq.adapters.arviz import to_arviz
 from bayeq.arrays import Floats
-from bayeq.equation.pip_curve import PriorSensitivity
-from bayeq.equation.sensitivity import prior_sensitivity
+from bayeq.equation.sensitivity import PriorSensitivity, prior_sensitivity
 from bayeq.errors import DataWarning, InputError
 from bayeq.estimators.base import SparseRegressor, SpikeSlabRegressor
 from bayeq.gram import Gram, GramLike

@@ -8,6 +8,7 @@ from __future__ import annotations
 import keyword
 import re
 from collections.abc import Callable, Mapping, Sequence
+from functools import reduce
 from importlib import import_module
 from typing import Any, NamedTuple
 
@@ -45,22 +46,27 @@ def to_callable(laws: Sequence[Law], inputs: Sequence[str], timed: bool, module:
         if timed:
             columns[TIME] = array.asarray(t)
         evaluate = Evaluator(columns) if module == "numpy" else lambda term: _value(term.tree, columns, array)
-        rows = [row for law in laws for row in _derivatives(law, columns, evaluate, not states)]
+        rows = [row for law in laws for row in derivatives(law, columns, evaluate, not states)]
         return array.stack(array.broadcast_arrays(*rows))
 
     return rhs
 
 
-def _derivatives(
-    law: Law, columns: Mapping[str, Any], evaluate: Callable[[Expression], Any], static: bool
+def derivatives(
+    law: Law,
+    columns: Mapping[str, Any],
+    evaluate: Callable[[Expression], Any],
+    static: bool,
+    number: Callable[[float], Any] = float,
 ) -> list[Any]:
-    """Of the states of a chain; the target of a law where there are only `static` ones."""
-    total: Any = law.posterior.intercept
-    for j in np.flatnonzero(law.posterior.support).tolist():
-        total = total + float(law.posterior.coef[j]) * evaluate(law.terms[j])
+    """Of the states of a chain, in numbers or in SymPy; the target of a law where there are only `static` ones."""
+    p = law.posterior
+    total = number(p.intercept)
+    for j in np.flatnonzero(p.support).tolist():
+        total = total + number(float(p.coef[j])) * evaluate(law.terms[j])
     above = [*(columns[name] for name in law.chain.states[1:]), total]
     factors = rates(law.chain, law.unit_gains) or (1.0,) * static
-    return [factor * row for factor, row in zip(factors, above, strict=False)]
+    return [row if factor == 1.0 else number(factor) * row for factor, row in zip(factors, above, strict=False)]
 
 
 def _value(node: Node, columns: Mapping[str, Any], array: Any) -> Any:
@@ -95,11 +101,7 @@ def _called(function: str, arguments: list[Any], array: Any) -> Any:
     if function == "erf":
         return import_module("jax.scipy.special").erf(*arguments)
     if function in ("max", "min"):
-        combine = array.maximum if function == "max" else array.minimum
-        total = arguments[0]
-        for argument in arguments[1:]:
-            total = combine(total, argument)
-        return total
+        return reduce(array.maximum if function == "max" else array.minimum, arguments)
     if function == "where":
         return array.where(*arguments)
     return getattr(array, FUNCTIONS[function].numpy.__name__)(*arguments)
@@ -193,7 +195,13 @@ def to_code(laws: Sequence[Law], inputs: Sequence[str], timed: bool, language: s
     places = {name: ("y", k) for k, name in enumerate(states)} | {name: ("u", k) for k, name in enumerate(inputs)}
     called = _names(list(places), row, len(states) or len(laws))
     renamed = {sympy.Symbol(name): sympy.Symbol(new) for name, new in called.items()}
-    slopes = [slope.xreplace(renamed) for law in solved_laws(laws) for slope in _slopes(law, not states)]
+    symbols = {name: sympy.Symbol(name) for name in states}
+
+    def number(value: float) -> Any:
+        return sympy.Float(value, DIGITS)
+
+    rows = (derivatives(law, symbols, _plain, not states, number) for law in solved_laws(laws))
+    slopes = [slope.xreplace(renamed) for of_chain in rows for slope in of_chain]
     used = {str(symbol) for slope in slopes for symbol in slope.free_symbols}
     results = [f"dy{row.first + k}" for k in range(len(slopes))]
     about = {
@@ -239,31 +247,11 @@ def _ascii(name: str) -> str:
     return "".join(c if re.fullmatch(r"[A-Za-z0-9_]", c) else f"u{ord(c):04x}" for c in name)
 
 
-def _slopes(law: Law, static: bool) -> list[Any]:
-    """Derivatives of the states of a chain in SymPy, of functions that every printer knows.
-
-    Where there are only `static` laws: the target.
-    """
+def _plain(term: Expression) -> Any:
+    """A term in SymPy without what printers do otherwise, or not at all: steps at zero, remainders, Euler's number."""
     import sympy
 
-    p = law.posterior
-    total = sympy.Float(p.intercept, DIGITS)
-    for term, value, kept in zip(law.terms, p.coef.tolist(), p.support, strict=True):
-        if kept:
-            total += sympy.Float(value, DIGITS) * _plain(to_sympy(term))
-    above = [*map(sympy.Symbol, law.chain.states[1:]), total]
-    factors = rates(law.chain, law.unit_gains) or (1.0,) * static
-    return [
-        node if factor == 1.0 else sympy.Float(factor, DIGITS) * node
-        for factor, node in zip(factors, above, strict=False)
-    ]
-
-
-def _plain(expression: Any) -> Any:
-    """An expression without what printers do otherwise, or not at all: steps at zero, remainders, Euler's number."""
-    import sympy
-
-    half = sympy.Rational(1, 2)
+    expression, half = to_sympy(term), sympy.Rational(1, 2)
     rules: Mapping[Any, Any] = {
         sympy.sign: lambda a: sympy.Piecewise((1, a > 0), (-1, a < 0), (0, True)),
         sympy.Heaviside: lambda a, *_: sympy.Piecewise((1, a > 0), (0, a < 0), (half, True)),

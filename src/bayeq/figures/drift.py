@@ -72,14 +72,8 @@ def _panel(ax: Axes, rows: pd.DataFrame, before: str) -> None:
     ax.grid(axis="y", color=PALE, linewidth=0.5)
     if "common_coef" in rows:
         common = rows.iloc[0]
-        ax.axhspan(
-            common.common_ci_low,
-            common.common_ci_high,
-            color=PALE,
-            linewidth=0,
-            zorder=0,
-            label="common equation, 95 %",
-        )
+        band: dict[str, Any] = {"color": PALE, "linewidth": 0, "zorder": 0, "label": "common equation, 95 %"}
+        ax.axhspan(common.common_ci_low, common.common_ci_high, **band)
         ax.axhline(common.common_coef, color=BLACK, linewidth=0.6, zorder=1)
     drawn = rows[rows.shown]
     ax.vlines(drawn.order, drawn.ci_low, drawn.ci_high, color=BLUE, linewidth=0.9, zorder=2, label="95 % interval")

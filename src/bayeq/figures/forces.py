@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayeq.arrays import Floats
-from bayeq.errors import InputError, UnknownNameError
+from bayeq.errors import InputError
 from bayeq.expressions import Evaluator
 from bayeq.figures.picture import (
     Answer,
@@ -21,6 +21,7 @@ from bayeq.figures.picture import (
     equation_of,
     given_as,
     label_of,
+    named,
     thinned,
     titled,
 )
@@ -31,6 +32,8 @@ from bayeq.records import Record
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from bayeq.states.motion import MotionRows
 
 FORCE = "restoring force per mass"
 
@@ -50,19 +53,17 @@ def _second_order(equation: EquationLike) -> tuple[str, str]:
     return equation.chain.names[0], equation.chain.names[1]
 
 
-def _measured(equation: EquationLike, columns: Mapping[str, Floats], target: Floats, of: Iterable[str]) -> Floats:
-    """Restoring force per unit mass of the variables `of` at each row: terms of other variables less the target, (n,).
+def _measured(equation: EquationLike, rows: MotionRows, of: Iterable[str]) -> Floats:
+    """Restoring force per unit mass of the variables `of` at each row, (n,).
 
-    `columns` are states and inputs, `target` the measured acceleration.
+    It is the terms of other variables less the acceleration as it was measured.
     """
-    own = _own(equation, of)
-    evaluate = Evaluator(columns)
-    p = equation.shown_posterior
-    others = np.zeros(len(target))
+    p, evaluate, own = equation.shown_posterior, Evaluator(rows.columns), _own(equation, of)
+    others = np.zeros(rows.n)
     for j in np.flatnonzero(p.support):
         if j not in own:
             others = others + p.coef[j] * evaluate(equation.terms[j])
-    return np.asarray(others - target, dtype=np.float64)
+    return np.asarray(others - rows.observed[equation.target], dtype=np.float64)
 
 
 def _discovered(equation: EquationLike, columns: Mapping[str, Floats]) -> tuple[Floats, Floats]:
@@ -132,12 +133,10 @@ def restoring_force_curve(
     """
     equation = equation_of(eq, target)
     names = _second_order(equation)
-    name = over or names[0]
-    if name not in names:
-        raise UnknownNameError("displacement or velocity", name, names)
+    name = named("displacement or velocity", over, names)
     rows = eq.motion(record)
     place = rows.columns[name]
-    force = _measured(equation, rows.columns, rows.observed[equation.target], [name])
+    force = _measured(equation, rows, [name])
     along = np.linspace(float(place.min()), float(place.max()), PLACES)
     mean, sd = _discovered(equation, {name: along})
     (ax,) = axes_for(ax, [70.0], SINGLE_COLUMN)
@@ -196,7 +195,7 @@ def restoring_force_surface(eq: Answer, record: Record, ax: Any = None, *, targe
         raise InputError("ax: a surface needs axes of three dimensions, figure.add_subplot(projection='3d')")
     rows = eq.motion(record)
     x, v = (rows.columns[name] for name in names)
-    force = _measured(equation, rows.columns, rows.observed[equation.target], names)
+    force = _measured(equation, rows, names)
     grid_x, grid_v = _ellipse(x, v)
     surface, _ = _discovered(equation, {names[0]: grid_x, names[1]: grid_v})
     if ax is None:

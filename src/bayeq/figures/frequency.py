@@ -7,17 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayeq.arrays import Complexes, Floats
-from bayeq.errors import InputError, UnknownNameError
-from bayeq.figures.picture import (
-    Answer,
-    Run,
-    above,
-    axes_for,
-    bracketed,
-    channel_of,
-    frequency_label,
-    units_of,
-)
+from bayeq.errors import InputError
+from bayeq.figures.picture import Answer, Run, above, axes_for, bracketed, channel_of, frequency_label, named, units_of
 from bayeq.figures.runs import DRAWN, MEASURED
 from bayeq.figures.style import FULL_WIDTH, GREY, ORANGE, PALE, SINGLE_COLUMN, log_ticks, picture, plain, term_label
 from bayeq.records import Record
@@ -175,9 +166,7 @@ def frequency_response(
     """
     if not eq.inputs:
         raise InputError("the equations have no input: there is no response to it")
-    source = force or eq.inputs[0]
-    if source not in eq.inputs:
-        raise UnknownNameError("input", source, eq.inputs)
+    source = named("input", force, eq.inputs)
     run, name, fs = _whole_run(eq, record, channel, "frequency response")
     rows = eq.motion(record)
     times = run.time if rows.time is None else rows.time

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -87,12 +87,15 @@ class Answer(Protocol):
 
 def equation_of(eq: Answer, target: str | None) -> EquationLike:
     """The equation of a target, by default the first; UnknownNameError if there is no such target."""
-    if target is None:
-        return eq.equations[0]
-    for equation in eq.equations:
-        if equation.target == target:
-            return equation
-    raise UnknownNameError("equation", target, [equation.target for equation in eq.equations])
+    by_target = {equation.target: equation for equation in eq.equations}
+    return by_target[named("equation", target, by_target)]
+
+
+def named(kind: str, name: str | None, known: Collection[str]) -> str:
+    """The name that is asked for, by default the first of those known; UnknownNameError of another one."""
+    if name is not None and name not in known:
+        raise UnknownNameError(kind, name, list(known))
+    return next(iter(known)) if name is None else name
 
 
 def channel_of(run: Run, channel: str | None) -> str:
@@ -102,11 +105,7 @@ def channel_of(run: Run, channel: str | None) -> str:
     """
     if not run.measured:
         raise InputError("no state of the equations is measured: there is nothing to compare the free run with")
-    if channel is None:
-        return next(iter(run.measured))
-    if channel not in run.measured:
-        raise UnknownNameError("measured state", channel, list(run.measured))
-    return channel
+    return named("measured state", channel, run.measured)
 
 
 def likely_terms(equation: EquationLike) -> list[int]:

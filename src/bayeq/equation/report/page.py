@@ -11,14 +11,11 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from bayeq.equation.answer import Answer
 from bayeq.equation.brief import DERIVED, checks, failed, in_symbols, sentence, what_to_try
 from bayeq.equation.equation import Equation
 from bayeq.equation.explain import explanation
 from bayeq.equation.oscillator import own_parameters
-from bayeq.equation.report.look import STYLE
 from bayeq.equation.report.pictures import pictures, require_bokeh
 from bayeq.equation.rows import Row, rows_of
 from bayeq.equation.text import MARK, unseen
@@ -33,23 +30,10 @@ from bayeq.records import Record
 from bayeq.records.files import replacing
 from bayeq.regression.constraints import CONSERVED
 
+HERE = Path(__file__).parent
+STYLE = (HERE / "page.css").read_text(encoding="utf-8")
 # Draws the live pictures one after the other, and shows them instead of the still ones once all are there.
-START = """
-window.addEventListener("DOMContentLoaded", async () => {
-  const page = document.documentElement;
-  page.classList.add("scripted");
-  try {
-    let drawn = 0;
-    for (const script of document.querySelectorAll("script.plot")) {
-      await Bokeh.embed.embed_item(JSON.parse(script.textContent), script.dataset.at);
-      page.dataset.drawn = ++drawn;
-    }
-  } catch (error) {
-    page.classList.remove("scripted");
-    throw error;
-  }
-});
-"""
+START = (HERE / "page.js").read_text(encoding="utf-8")
 
 
 def require_report() -> None:
@@ -91,9 +75,7 @@ def _page(eq: Answer, records: Sequence[Record], digests: Mapping[str, str], com
         made, reasons = pictures(eq, records[0] if records else None)
     scripts = [_library(), START] if any(picture.live for picture in made) else []
     allowed = " ".join(f"'sha256-{_digest(script)}'" for script in scripts) or "'none'"
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent), autoescape=True, trim_blocks=True, lstrip_blocks=True
-    )
+    environment = Environment(loader=FileSystemLoader(HERE), autoescape=True, trim_blocks=True, lstrip_blocks=True)
     return environment.get_template("page.html").render(
         title=f"Equation of motion: {', '.join(one.target for one in eq.equations)}",
         policy=f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data: blob:;"
@@ -163,22 +145,16 @@ def _equation(one: Equation, eq: Answer) -> dict[str, Any]:
 
 def _maths(one: Equation, names: Mapping[str, str]) -> str:
     """An equation as MathML, a piece for each term so that it breaks between them."""
-    p = one.shown_posterior
     pieces = [f"<mrow>{names[one.target]}<mo>=</mo></mrow>"]
-    numbers = [
-        (float(p.coef[j]), float(p.sd[j]), mathml(one.terms[j], names, factor=True)) for j in np.flatnonzero(p.support)
-    ]
-    if one.intercept_matters:
-        numbers.append((p.intercept, p.intercept_sd, ""))
-    for k, (value, sd, term) in enumerate(numbers):
+    for k, (value, sd, term) in enumerate(one.summands):
         text = round_to(value, sd)
         sign = "\N{MINUS SIGN}" if text.startswith("-") else "+" if k else ""
         form = 'form="prefix"' if not k else 'form="infix"'
         front = f"<mo {form}>{sign}</mo>" if sign else ""
-        pieces.append(
-            f"<mrow>{front}{number_mathml(text.removeprefix('-'))}<mspace width='0.17em'></mspace>{term}</mrow>"
-        )
-    if not numbers:
+        factor = "" if term is None else mathml(term, names, factor=True)
+        number = number_mathml(text.removeprefix("-"))
+        pieces.append(f"<mrow>{front}{number}<mspace width='0.17em'></mspace>{factor}</mrow>")
+    if not one.summands:
         pieces.append("<mn>0</mn>")
     return "".join(f"<math>{piece}</math> " for piece in pieces)
 
@@ -229,14 +205,13 @@ def _checked(eq: Answer) -> str:
 
 
 def _sampling(eq: Answer) -> str:
-    """How the records were sampled."""
+    """How the records were sampled, as far as known."""
     if eq.roles.discrete:
         return "counted in samples"
-    return "time not known, rows counted" if eq.data.rows_as_time else _rate(eq.data.fs, eq.data.seconds)
-
-
-def _rate(fs: float | None, seconds: float | None) -> str:
-    return "" if fs is None else f"{fs:.6g} Hz" + (f", {seconds:.4g} s in all" if seconds is not None else "")
+    if eq.data.rows_as_time:
+        return "time not known, rows counted"
+    seconds = "" if eq.data.seconds is None else f", {eq.data.seconds:.4g} s in all"
+    return "" if eq.data.fs is None else f"{eq.data.fs:.6g} Hz{seconds}"
 
 
 def _library() -> str:
