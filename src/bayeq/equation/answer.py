@@ -146,10 +146,18 @@ class EquationTuple(tuple[Equation, ...]):
 
 @dataclass(frozen=True)
 class HiddenState:
-    """A state that no channel measures."""
+    """A state that no channel measures.
 
-    state: str  # its name
-    log_odds_without: float  # ln of the odds of the best equations without hidden states against those with them
+    Attributes
+    ----------
+    state : str
+        Its name.
+    log_odds_without : float
+        ln of the odds of the best equations without hidden states against those with them.
+    """
+
+    state: str
+    log_odds_without: float
 
 
 @dataclass(frozen=True)

@@ -45,11 +45,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class RunnerUp:
-    """A model one move away from the chosen one."""
+    """A model one move away from the chosen one.
 
-    leaves: str | None  # the term taken out of the chosen model
-    enters: str | None  # and the one put into it
-    log_odds: float  # log posterior odds against the chosen model, ln p(runner-up | y) / p(chosen | y)
+    Attributes
+    ----------
+    leaves, enters : str or None
+        Term taken out of and put into the chosen model.
+    log_odds : float
+        Log posterior odds against the chosen model, ln p(runner-up | y) / p(chosen | y).
+    """
+
+    leaves: str | None
+    enters: str | None
+    log_odds: float
 
     @property
     def odds(self) -> str:

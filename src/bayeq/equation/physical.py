@@ -47,15 +47,27 @@ FEW = 0.025
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """A number with its uncertainty."""
+    """A number with its uncertainty.
 
-    symbol: str  # ``k3``
-    meaning: str  # "cubic stiffness"
-    mean: float  # of the draws, as are the standard deviation and the ends of the 95 % interval, their quantiles
+    Attributes
+    ----------
+    symbol, meaning : str
+        ``k3``, "cubic stiffness".
+    mean, sd : float
+        Of the draws.
+    low, high : float
+        95 % interval: their 2.5 % and 97.5 % quantiles.
+    unit : str or None
+        None where the units of the channels are not known; empty for a pure number.
+    """
+
+    symbol: str
+    meaning: str
+    mean: float
     sd: float
     low: float
     high: float
-    unit: str | None  # None where the units of the channels are not known; empty for a pure number
+    unit: str | None
 
     @property
     def cells(self) -> tuple[str, str, str, str]:
@@ -65,11 +77,19 @@ class Quantity:
 
 @dataclass(frozen=True, slots=True)
 class Mode:
-    """A mode of small motion."""
+    """A mode of small motion.
 
-    frequency: Quantity  # the natural frequency [Hz]
+    Attributes
+    ----------
+    frequency, damping_ratio : Quantity
+        The natural frequency [Hz], and the damping ratio.
+    shape : mapping of str to float
+        Displacements over that of the coordinate that moves most, by their names.
+    """
+
+    frequency: Quantity
     damping_ratio: Quantity
-    shape: Mapping[str, float]  # displacements over that of the coordinate that moves most, by their names
+    shape: Mapping[str, float]
 
 
 @dataclass(frozen=True, slots=True)
