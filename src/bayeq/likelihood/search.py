@@ -548,20 +548,10 @@ def from_starts(task: Task, starts: Iterable[State | Callable[[], State | None]]
 
 
 def search(task: Task, starts: Sequence[State]) -> tuple[Task, Fitted]:
-    """The best model that rounds of selection lead to.
+    """The best model that rounds of selection lead to, and the task with the steps of integration that were used.
 
-    Parameters
-    ----------
-    task : Task
-        What is to be explained.
-    starts : sequence of State
-        Where rounds start: from the next one too where those before left a discrepancy. The last one has no terms
-        but those of stated laws; the fit of all candidates from there is a further start if these are few.
-
-    Returns
-    -------
-    (Task, Fitted)
-        The task with the steps of integration that were used.
+    Rounds start from the next start too where those before left a discrepancy. The last one has no terms but those of
+    stated laws; the fit of all candidates from there is a further start if these are few.
     """
     together, simplest = partial(all_together, task, starts[-1]), partial(from_the_simplest, task, starts[-1])
     return from_starts(task, (*starts, together, simplest))
