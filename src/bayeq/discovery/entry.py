@@ -266,8 +266,7 @@ def question_of(
     roles = Roles.parse(chains, displacement, velocity, acceleration, force, inputs, target, discrete)
     roles = with_laws(law, roles)
     require_laws(roles)
-    noise, gain_sd = {} if noise is None else noise, {} if gain_sd is None else gain_sd
-    lag_sd = {} if lag_sd is None else lag_sd
+    noise, gain_sd, lag_sd = ({} if one is None else one for one in (noise, gain_sd, lag_sd))
     check_sensors(noise, gain_sd, roles, lag_sd)
     smooth = current(smooth)
     _check_tails(tails, smooth)
