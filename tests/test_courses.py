@@ -10,6 +10,7 @@ import pytest
 from studies.forces import draw_record
 
 import bayeq as bq
+from bayeq.equation.applied import apply_to
 from bayeq.errors import BayeqWarning
 from bayeq.expressions import parse
 from bayeq.selection.excitation import repeating
@@ -58,6 +59,11 @@ def test_runs_are_driven_by_inputs_as_they_were_found(kind, tmp_path):
             assert max(one.score(unseen, start=0).free_run.values()) < 0.04
             assert one.simulate(unseen, draws=0).nrmse["x"] < 0.04
             assert one.simulate(unseen, draws=0, interpolation="cubic").nrmse["x"] > 0.1
+            for name in ("x", "v", "a"):  # the smoother alone takes the noise of v for motion that jumps
+                assert one.data.noise_sd[name] == pytest.approx(0.01 * unseen[name].std(), rel=0.2)
+            applied = apply_to(one, [unseen])
+            assert min(error.inside for error in applied.free_run.values()) > 0.9
+            assert max(applied.windows.values()) < 0.04
             refined = one.refine(record).refined  # None where its runs are no better
             assert refined is None or refined.interpolation == kind
     assert eq.to_dict()["data"]["interpolation"] == {"u": kind}

@@ -190,7 +190,7 @@ class Question:
         step("inference", len(equations), len(equations))
         likelihood = record if found is None else found[1]
         if likelihood is not None:
-            motion = replace(motion, courses=likelihood.courses)
+            motion = likelihood.told(motion)
             if motion.sensors.lags:
                 motion = replace(motion, sensors=replace(motion.sensors, lags=likelihood.lags))
         data = DataSummary.of(pieces, motion, found is not None)
@@ -361,7 +361,7 @@ class Question:
                 return None
             of_all = design
         if whole is not None:
-            of_all = replace(of_all, motion=replace(of_all.motion, courses=record.courses))
+            of_all = replace(of_all, motion=record.told(of_all.motion))
             return of_all, whole.record(record, motion, log)
         found = refit_record(motion.whole, record, of_all.terms, of_all.train)
         return None if found is None else (self._judged(self._at_values(of_all, found), found), found)

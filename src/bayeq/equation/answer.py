@@ -69,6 +69,8 @@ class DataSummary:
     interpolation : mapping of str to str
         How inputs go between their samples, "linear", "hold" or "band-limited", as the likelihood found it; others are
         smooth.
+    noise_sd : mapping of str to float
+        Standard deviation of the noise of the channels, in their units, as the likelihood found it.
     """
 
     files: tuple[str, ...]
@@ -86,6 +88,7 @@ class DataSummary:
     band: tuple[float, float] | None = None
     stretches: int = 0
     interpolation: Mapping[str, Interpolation] = field(default_factory=dict)
+    noise_sd: Mapping[str, float] = field(default_factory=dict)
 
     def of_stretches(self, files: Sequence[str], used: int, held_out: int, stretches: int) -> Self:
         """The summary of all rows, this being that of some stretches of them."""
@@ -127,6 +130,7 @@ class DataSummary:
             rows_as_time=rows_as_time,
             band=motion.band,
             interpolation=motion.courses,
+            noise_sd=motion.noise_sd,
         )
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from typing import Any
 
@@ -194,8 +194,8 @@ def apply_to(equations: Equations, records: Sequence[Record], draws: int = 200, 
             for k, (target, error) in enumerate(scores.one_step.items())
         }
         motion = estimate_motion(pieces, equations.roles, equations.smooth, sensors=equations.data.sensors)
-        windows = window_errors(equations.dynamics(), motion)
-    noise = state_noise(motion)
+        windows = window_errors(equations.dynamics(), replace(motion, courses=equations.data.interpolation))
+    noise = {**state_noise(motion), **equations.data.noise_sd}
     forecasts = [run for _, run in runs]
     unknown = None if equations.roles.discrete else 0.0  # of maps no smoother has learned it
     free_run = {name: _free_run(name, forecasts, noise.get(name, unknown), e) for name, e in scores.free_run.items()}

@@ -47,7 +47,7 @@ def to_dict(eq: Answer) -> dict[str, Any]:
             "chains": [str(chain) for chain in eq.chains],
             **_attributes(eq, "inputs", "dictionary", "smooth"),
             **_attributes(eq.data, "band", "estimated", "smoothed", "holdout", "refitted", "stretches"),
-            **({"interpolation": dict(eq.data.interpolation)} if eq.data.interpolation else {}),
+            **{name: value for name, value in _attributes(eq.data, "noise_sd", "interpolation").items() if value},
             "measured": asdict(eq.data.measured),
             **{
                 name: value

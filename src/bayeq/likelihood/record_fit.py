@@ -168,12 +168,16 @@ class RecordFit:
         """Standard deviation of each equation's discrepancy as a share of its target's, (C,)."""
         return self.fitted.state.levels.kappa
 
-    @property
-    def courses(self) -> dict[str, Interpolation]:
-        """How inputs go between their samples, where that is not smooth."""
-        layout = self.task.layout
+    def told(self, motion: Motion) -> Motion:
+        """The motion with what the likelihood found of its channels: how inputs go between samples, and noise."""
+        layout, variance = self.task.layout, self.fitted.state.levels.channels
         pairs = zip(layout.roles.inputs, layout.courses, strict=True)
-        return {name: course for name, course in pairs if course != "smooth" and course != "cubic"}
+        courses: dict[str, Interpolation] = {a: b for a, b in pairs if b != "smooth" and b != "cubic"}
+        spread = np.concatenate([one.spread for one in self.task.series]).mean(axis=0)
+        names = [name for name, _ in layout.channels]
+        return replace(
+            motion, courses=courses, noise_sd=dict(zip(names, np.sqrt(variance * spread).tolist(), strict=True))
+        )
 
     @property
     def kappa_error(self) -> Floats:
@@ -308,7 +312,7 @@ class RecordFit:
         A derivative that is not measured is taken to be that of the coordinate without its drift, which is slow.
         """
         layout, hidden = self.task.layout, [chain.names[0] for chain in self.task.layout.roles.hidden]
-        motion = replace(motion, courses=self.courses)
+        motion = self.told(motion)
         if not (layout.drift or hidden):
             return motion
         motion = with_found_laws(motion, layout.terms)

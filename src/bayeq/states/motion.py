@@ -100,6 +100,8 @@ class Motion:
         Frequencies [Hz] in which the records are believed.
     courses : mapping of str to str
         How inputs go between their samples, as the likelihood found it, where that is not smooth.
+    noise_sd : mapping of str to float
+        Standard deviation of the noise of channels, in their units, as the likelihood found it.
     """
 
     roles: Roles
@@ -111,6 +113,7 @@ class Motion:
     sensors: Sensors = field(default_factory=Sensors)
     band: tuple[float, float] | None = None
     courses: Mapping[str, Interpolation] = field(default_factory=dict)
+    noise_sd: Mapping[str, float] = field(default_factory=dict)
 
     @cached_property
     def train(self) -> tuple[MotionRows, ...]:
