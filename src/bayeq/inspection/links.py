@@ -17,6 +17,7 @@ import numpy as np
 from bayeq.inspection.channels import ChannelInfo
 from bayeq.records import Record
 from bayeq.records.consistency import Frames, Relation, derivative_name, relate, uniform_frames
+from bayeq.records.record import with_samples
 from bayeq.records.truth import FloatArray
 from bayeq.records.units import derivative_ratio
 
@@ -114,14 +115,12 @@ def _even(record: Record) -> Record:
         return record
     known = {name: np.isfinite(values) for name, values in record.channels.items()}
     gappy = {name: rows for name, rows in known.items() if MOSTLY < rows.mean() < 1.0}
-    if gappy:
-        filled = {name: np.interp(record.time, record.time[r], record[name][r]) for name, r in gappy.items()}
-        units = {name: unit for name, unit in record.units.items() if name in filled}
-        record = record.with_channels(filled, units)
-    if record.is_uniform() or record.time is None:
+    own = record.time
+    record = with_samples(record, {name: np.interp(own, own[r], record[name][r]) for name, r in gappy.items()})
+    if record.is_uniform():
         return record
-    time = record.time[0] + step * np.arange(min(int((record.time[-1] - record.time[0]) / step) + 1, 2 * record.n))
-    channels = {name: np.interp(time, record.time, values) for name, values in record.channels.items()}
+    time = own[0] + step * np.arange(min(int((own[-1] - own[0]) / step) + 1, 2 * record.n))
+    channels = {name: np.interp(time, own, values) for name, values in record.channels.items()}
     return Record(channels, time, record.units, record.name)
 
 

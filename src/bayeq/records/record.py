@@ -408,6 +408,13 @@ def _numbers(values: FloatArray) -> tuple[str, ...]:
     return (*(f"{value:.4g}" for value in numbers), missing)
 
 
+def with_samples(record: Record, samples: Mapping[str, Any]) -> Record:
+    """The record with other samples of some channels, whose units stay; itself if there are none."""
+    if not samples:
+        return record
+    return record.with_channels(samples, {name: record.units[name] for name in samples if name in record.units})
+
+
 def with_only(record: Record, names: Iterable[str]) -> Record:
     """These channels of a record, and its time; without what is known of a simulated one."""
     channels = {name: record[name] for name in names}

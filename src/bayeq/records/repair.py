@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.errors import InputError, RecordError
-from bayeq.records.record import Record
+from bayeq.records.record import Record, with_samples
 from bayeq.records.settings import RECORDS
 from bayeq.records.truth import FloatArray
 
@@ -217,9 +217,7 @@ def correct_delay(record: Record, channel: str, seconds: float) -> Record:
     rows = np.arange(max(0, math.ceil(-steps)), record.n - max(0, math.ceil(steps)))
     shifted = np.zeros(record.n)
     shifted[rows] = _interpolate(values, rows, steps)
-    return record.with_channels({channel: shifted}, _kept_unit(record, channel)).take(
-        slice(int(rows[0]), int(rows[-1]) + 1)
-    )
+    return with_samples(record, {channel: shifted}).take(slice(int(rows[0]), int(rows[-1]) + 1))
 
 
 def _interpolate(values: FloatArray, rows: NDArray[np.int64], steps: float) -> FloatArray:
@@ -276,8 +274,4 @@ def remove_offset(record: Record, channel: str, offset: float | None = None, dri
         if record.time is None:
             raise RecordError(f"{record.name or 'record'}: a drift is per second, and the record has no time")
         values = values - drift * (record.time - 0.5 * (record.time[0] + record.time[-1]))
-    return record.with_channels({channel: values}, _kept_unit(record, channel))
-
-
-def _kept_unit(record: Record, channel: str) -> dict[str, str]:
-    return {channel: record.units[channel]} if channel in record.units else {}
+    return with_samples(record, {channel: values})

@@ -19,6 +19,7 @@ from bayeq.arrays import Bools, Floats
 from bayeq.errors import InputError
 from bayeq.records import Record
 from bayeq.records.findings import clipped_levels, equal_runs
+from bayeq.records.record import with_samples
 from bayeq.states.kinematic.fit import fit_kinematic
 from bayeq.states.kinematic.model import ChainSeries, KinematicModel
 from bayeq.states.kinematic.smoother import leave_one_out, one_sided, smooth_kinematic
@@ -165,8 +166,7 @@ def without_bad_samples(
             name: np.where(np.any(list(kinds.values()), axis=0), np.nan, record[name])
             for name, kinds in channels.items()
         }
-        units = {name: record.units[name] for name in changed if name in record.units}
-        out.append(record.with_channels(changed, units) if changed else record)
+        out.append(with_samples(record, changed))
         where = f"{record.name or 'record'}: " if len(records) > 1 else ""
         messages += [where + _message(name, kind, rows) for name, bad in channels.items() for kind, rows in bad.items()]
     return out, messages

@@ -13,6 +13,7 @@ import numpy as np
 from bayeq.arrays import Floats
 from bayeq.errors import RecordError
 from bayeq.records import Record
+from bayeq.records.record import with_only, with_samples
 from bayeq.records.sampling import even_step
 from bayeq.states.prepare import on_grid
 from bayeq.states.settings import STATES
@@ -73,8 +74,7 @@ def without_hum(
         values = np.column_stack([np.asarray(even[name], dtype=np.float64) for name in names])
         values, lines = _without_lines(values, high / fs)
         heard.update(round(fs * line, 2) for line in lines)
-        units = {name: unit for name, unit in even.units.items() if name in names or name == "t"}
-        found.append(Record(dict(zip(names, values.T, strict=True)), even.time, units, even.name))
+        found.append(with_samples(with_only(even, names), dict(zip(names, values.T, strict=True))))
     some = sorted(heard)[:SHOWN]
     listed = ", ".join(f"{line:g}" for line in some) + (f" and {len(heard) - SHOWN} more" if len(heard) > SHOWN else "")
     return found, [f"hum above the band was taken out of all channels, at {listed} Hz"] if heard else []

@@ -16,9 +16,8 @@ from bayeq.records import Record, counts_rows
 from bayeq.states.derive import Smooth, derive_states, require_usable
 from bayeq.states.hidden import hidden_columns, hidden_rates
 from bayeq.states.kinematic.chain_smoother import ChainSmoothing, smooth_chain, smooth_further
-from bayeq.states.lags import without_lags
 from bayeq.states.maps import likened, moved
-from bayeq.states.prepare import bridged_record, complete_rows, filled_in, has_all, on_grid
+from bayeq.states.prepare import bridged_record, complete_rows, filled_in, has_all, on_grid, without_lags
 from bayeq.states.roles import NEXT, Chain, Roles
 from bayeq.states.sensors import Sensors
 from bayeq.states.settings import STATES

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from bayeq.arrays import Bools, Floats, Ints
 from bayeq.errors import InputError, RecordError
-from bayeq.records import Record, split_at_gaps
+from bayeq.records import Record, correct_delay, split_at_gaps
+from bayeq.records.record import with_samples
 from bayeq.records.sampling import is_step
 from bayeq.records.settings import RECORDS
 from bayeq.states.bad_samples import Learned, listed, without_bad_samples
@@ -17,6 +18,7 @@ from bayeq.states.kinematic.fit import fit_kinematic
 from bayeq.states.kinematic.model import ChainSeries
 from bayeq.states.kinematic.smoother import smooth_kinematic
 from bayeq.states.roles import Roles
+from bayeq.states.sensors import Lag
 from bayeq.states.unit_gains import bridged
 
 # Fewer rows with all channels are no record.
@@ -95,8 +97,7 @@ def _without_impossible(records: Sequence[Record], roles: Roles) -> tuple[list[R
                     f"{where}{name}: {samples} infinite or beyond {LARGEST:g} ({listed(bad)}): taken as missing; check"
                     " the acquisition"
                 )
-        units = {name: record.units[name] for name in changed if name in record.units}
-        out.append(record.with_channels(changed, units) if changed else record)
+        out.append(with_samples(record, changed))
     return out, messages
 
 
@@ -182,9 +183,7 @@ def bridged_record(record: Record, roles: Roles, most: float = 1.0) -> Record:
         and 0.0 < float(np.isnan(values := record[name]).mean()) <= most
         and not np.isinf(values).any()
     }
-    if not changed:
-        return record
-    return record.with_channels(changed, {name: record.units[name] for name in changed if name in record.units})
+    return with_samples(record, changed)
 
 
 def inputs_filled(record: Record, inputs: Sequence[str]) -> Record:
@@ -205,8 +204,7 @@ def inputs_filled(record: Record, inputs: Sequence[str]) -> Record:
             f" ({listed(gaps)} of those that are run over); run over rows before or after (start, rows)"
         )
     time = np.asarray(record.time)
-    changed = {name: filled_in(time, np.asarray(record[name])) for name in lacking}
-    return record.with_channels(changed, {name: record.units[name] for name in lacking if name in record.units})
+    return with_samples(record, {name: filled_in(time, np.asarray(record[name])) for name in lacking})
 
 
 def on_grid(record: Record, names: Sequence[str]) -> Record:
@@ -236,6 +234,30 @@ def on_grid(record: Record, names: Sequence[str]) -> Record:
         channels[name][index] = record[name]
     units = {name: unit for name, unit in record.units.items() if name in channels or name == "t"}
     return Record(channels=channels, time=grid, units=units, name=record.name)
+
+
+def without_lags(record: Record, lags: Mapping[str, Lag], whole: bool = False) -> Record:
+    """The record with the lags of some channels taken out, by band-limited interpolation, which keeps noise white.
+
+    Rows at an end of which a channel then has no sample lack it; with `whole` they repeat the nearest one. A
+    RecordError says that time is uneven, but for rows that are missing, or a lag as long as the record.
+    """
+    lags = {name: lag for name, lag in lags.items() if name in record.channels and lag.value != 0.0}
+    if not lags:
+        return record
+    record = on_grid(record, list(record.channels))
+    changed = {}
+    for name, lag in lags.items():
+        samples = record[name]
+        moved = correct_delay(record.with_channels({name: bridged(samples)}), name, lag.value)
+        assert record.time is not None
+        assert moved.time is not None
+        first = int(np.searchsorted(record.time, moved.time[0]))
+        values = np.full(record.n, np.nan)
+        values[first : first + moved.n] = moved[name]
+        lacking = np.interp(record.time + lag.value, record.time, np.isnan(samples)) > 0.0
+        changed[name] = bridged(values) if whole else np.where(lacking, np.nan, values)
+    return with_samples(record, changed)
 
 
 def filled_in(time: Floats, samples: Floats) -> Floats:
