@@ -14,11 +14,11 @@ from itertools import combinations, permutations
 
 import numpy as np
 
+from bayeq.arrays import Floats
 from bayeq.inspection.channels import ChannelInfo
 from bayeq.records import Record
 from bayeq.records.consistency import Frames, Relation, derivative_name, relate, uniform_frames
 from bayeq.records.record import with_samples
-from bayeq.records.truth import FloatArray
 from bayeq.records.units import derivative_ratio
 
 # Channels are compared on at most this many rows, the middle ones. A faster record is first averaged over blocks of
@@ -150,7 +150,7 @@ def find_links(record: Record, names: Sequence[str]) -> list[Link]:
     return [link for _, link in sorted(found, key=lambda one: one[0])]
 
 
-def _mean_frequency(values: FloatArray) -> float:
+def _mean_frequency(values: Floats) -> float:
     """Geometric mean of the frequencies of a channel, weighted by power above noise, in bins."""
     power = np.abs(np.fft.rfft(np.hanning(len(values)) * (values - values.mean())))[1:] ** 2
     power = np.maximum(power - min(float(np.median(band)) for band in np.array_split(power, 4)), 0.0)
@@ -269,7 +269,7 @@ def drivers(record: Record, chain: Sequence[str | None], candidates: Sequence[st
     return out
 
 
-def _scaled(record: Record, names: Sequence[str]) -> dict[str, FloatArray]:
+def _scaled(record: Record, names: Sequence[str]) -> dict[str, Floats]:
     """Channels without missing samples, of mean 0 and standard deviation 1."""
     out = {}
     for name in names:
@@ -280,18 +280,18 @@ def _scaled(record: Record, names: Sequence[str]) -> dict[str, FloatArray]:
     return out
 
 
-def _width(scaled: dict[str, FloatArray], states: Sequence[str]) -> int:
+def _width(scaled: dict[str, Floats], states: Sequence[str]) -> int:
     """Rows of a window."""
     peaks = [int(np.argmax(np.abs(np.fft.rfft(scaled[name]))[1:])) + 1 for name in states]
     return max(1, round(WINDOW * len(scaled[states[0]]) / max(peaks)))
 
 
-def _products(channels: Sequence[FloatArray]) -> list[FloatArray]:
+def _products(channels: Sequence[Floats]) -> list[Floats]:
     """Channels, their squares and their products."""
     return [*channels, *(channels[i] * channels[j] for i in range(len(channels)) for j in range(i + 1))]
 
 
-def _integrals(terms: Sequence[FloatArray], time: FloatArray, width: int) -> FloatArray:
+def _integrals(terms: Sequence[Floats], time: Floats, width: int) -> Floats:
     """Integrals over windows from row to row, (n - width, P + 1); the first column is that of a constant."""
     steps = np.diff(time)
     columns = [np.ones(len(time) - width)]
@@ -301,11 +301,11 @@ def _integrals(terms: Sequence[FloatArray], time: FloatArray, width: int) -> Flo
     return np.column_stack(columns)
 
 
-def _left(D: FloatArray, y: FloatArray) -> float:
+def _left(D: Floats, y: Floats) -> float:
     """Sum of squares that least squares leave."""
     rest = y - D @ np.linalg.lstsq(D, y, rcond=None)[0]
     return float(rest @ rest)
 
 
-def _spread(y: FloatArray) -> float:
+def _spread(y: Floats) -> float:
     return max(float(np.sum((y - y.mean()) ** 2)), float(np.finfo(np.float64).tiny))

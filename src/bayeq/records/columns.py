@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayeq.arrays import Floats
 from bayeq.errors import FileFormatError, InputError, RecordError, UnknownNameError, WordsError
 from bayeq.records.names import clean_name, clean_names, is_time_name
-from bayeq.records.truth import FloatArray
 from bayeq.records.validate import SECONDS, as_column, as_time
 
 if TYPE_CHECKING:
@@ -129,7 +129,7 @@ class Columns:
     """Columns of a file, in order."""
 
     headers: Headers
-    values: list[FloatArray]  # samples, (n,) each; missing cells are NaN
+    values: list[Floats]  # samples, (n,) each; missing cells are NaN
     doubts: tuple[str, ...] = ()  # what to warn of
     time: int | None = None  # the column that is time, where something other than its name says so
     step: float | None = None  # time step [s] that the file states

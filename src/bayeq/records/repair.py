@@ -6,12 +6,11 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats, Ints
 from bayeq.errors import InputError, RecordError
 from bayeq.records.record import Record, with_samples
 from bayeq.records.settings import RECORDS
-from bayeq.records.truth import FloatArray
 
 # The least level of this many bands of a spectrum is taken for white noise, which is no power of the signal. In more of
 # them, shorter ones, chance makes the least too low: noise of 20 % of the signal would count as motion.
@@ -97,7 +96,7 @@ def _ends(record: Record, channels: Sequence[str]) -> tuple[list[int], str]:
     return ends.tolist(), f"half a period of {name} ({half:.3g} s)"
 
 
-def _shortest_period(times: Sequence[FloatArray], stretches: Sequence[FloatArray], step: float) -> float:
+def _shortest_period(times: Sequence[Floats], stretches: Sequence[Floats], step: float) -> float:
     """Period [s] of the frequency that 99 % of a channel's power lies below, without noise; 0 of short stretches."""
     known = [np.isfinite(samples) for samples in stretches]
     times = [time[one] for time, one in zip(times, known, strict=True) if one.any()]
@@ -220,7 +219,7 @@ def correct_delay(record: Record, channel: str, seconds: float) -> Record:
     return with_samples(record, {channel: shifted}).take(slice(int(rows[0]), int(rows[-1]) + 1))
 
 
-def _interpolate(values: FloatArray, rows: NDArray[np.int64], steps: float) -> FloatArray:
+def _interpolate(values: Floats, rows: Ints, steps: float) -> Floats:
     """Values at `rows` + `steps`."""
     whole = math.floor(steps)
     part = steps - whole

@@ -1,4 +1,4 @@
-"""What a record demands: names that terms can use, numbers in one dimension, time in order."""
+"""What a record demands: names that terms can use, numbers in one dimension, time in order, and even steps."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.arrays import Bools, Floats
 from bayeq.errors import RecordError, UnknownNameError, require_mapping
 from bayeq.expressions.parse import EARLIER
 from bayeq.records.names import clean_name
-from bayeq.records.truth import FloatArray
 
 
 def _prefix(where: str) -> str:
     return f"{where}: " if where else ""
 
 
-def as_column(values: Any, what: str, where: str = "") -> FloatArray:
+def as_column(values: Any, what: str, where: str = "") -> Floats:
     """A float64 array of one dimension, or a RecordError that says what is wrong with it."""
     # numpy.ma, which takes a while to import, is asked about subclasses alone
     masked = type(values) is not np.ndarray and isinstance(values, np.ndarray) and np.ma.isMaskedArray(values)
@@ -38,12 +38,12 @@ def as_column(values: Any, what: str, where: str = "") -> FloatArray:
     return array.astype(np.float64, copy=False)
 
 
-def as_time(values: Any, where: str = "") -> FloatArray:
+def as_time(values: Any, where: str = "") -> Floats:
     """Time as float64; dates and durations become seconds since the first."""
     array = np.asarray(values)
     if array.dtype.kind in "mM" and array.ndim == 1 and array.size:
         missing = np.isnat(array)
-        seconds: FloatArray = (array - array[0]) / np.timedelta64(1, "s")
+        seconds: Floats = (array - array[0]) / np.timedelta64(1, "s")
         return np.where(missing, np.nan, seconds)
     return as_column(array, "time", where)
 
@@ -53,7 +53,7 @@ MOST_REPEATED = 10
 
 
 def check_time(
-    time: FloatArray, where: str = "", starts: NDArray[np.intp] | None = None, repeated: bool = False
+    time: Floats, where: str = "", starts: NDArray[np.intp] | None = None, repeated: bool = False
 ) -> NDArray[np.intp]:
     """Raise a RecordError, with the row counted from 1, unless time [s] is finite and strictly increasing.
 
@@ -93,6 +93,32 @@ def check_time(
     else:
         message += "; sort the rows by time, or name another column as time"
     raise RecordError(message)
+
+
+# Steps that differ by a smaller share are the same: a sample of 6 per period is then wrong by 0.1 % of the amplitude.
+EVEN = 1e-3
+
+
+def is_step(time: Floats, step: float, tolerance: float = EVEN) -> Bools:
+    """Which steps of time are `step` to a share `tolerance`, and the rounding of the times, (n - 1,)."""
+    rounding = 4.0 * float(np.finfo(np.float64).eps) * float(np.abs(time).max(initial=0.0))
+    return np.asarray(np.abs(np.diff(time) - step) <= tolerance * step + rounding)
+
+
+def even_step(*times: Floats) -> float | None:
+    """The step of even sampling, the same in all records; None of uneven steps, or where there is no step.
+
+    Examples
+    --------
+    >>> even_step(np.array([0.0, 0.1, 0.2])), even_step(np.array([0.0, 0.1, 0.3]))
+    (0.1, None)
+    """
+    count = sum(len(time) - 1 for time in times)
+    if not count:
+        return None
+    # the mean step is less touched by the rounding of the times than any single one
+    step = sum(float(time[-1] - time[0]) for time in times) / count
+    return step if all(is_step(time, step).all() for time in times) else None
 
 
 #: How many seconds a unit of time is.

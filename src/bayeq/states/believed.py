@@ -14,7 +14,7 @@ from bayeq.arrays import Floats
 from bayeq.errors import RecordError
 from bayeq.records import Record
 from bayeq.records.record import with_only, with_samples
-from bayeq.records.sampling import even_step
+from bayeq.records.validate import even_step
 from bayeq.states.prepare import on_grid
 from bayeq.states.settings import STATES
 

@@ -10,8 +10,8 @@ from bayeq.arrays import Bools, Floats, Ints
 from bayeq.errors import InputError, RecordError
 from bayeq.records import Record, correct_delay, split_at_gaps
 from bayeq.records.record import with_samples
-from bayeq.records.sampling import is_step
 from bayeq.records.settings import RECORDS
+from bayeq.records.validate import is_step
 from bayeq.states.bad_samples import Learned, listed, without_bad_samples
 from bayeq.states.derive import LARGEST, Smooth, require_usable
 from bayeq.states.kinematic.fit import fit_kinematic

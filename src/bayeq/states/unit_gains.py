@@ -11,12 +11,11 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bayeq.arrays import Floats
+from bayeq.arrays import Complexes, Floats
 from bayeq.records import Record
-from bayeq.records.sampling import even_step
 from bayeq.records.units import derivative_ratio
+from bayeq.records.validate import even_step
 from bayeq.states.roles import Chain
 from bayeq.states.settings import STATES
 
@@ -191,7 +190,7 @@ def bridged(samples: Floats) -> Floats:
     return np.interp(np.arange(len(samples)), known, samples[known]) if len(known) else np.zeros(len(samples))
 
 
-def _lines(samples: Floats, step: float, order: int) -> NDArray[np.complex128]:
+def _lines(samples: Floats, step: float, order: int) -> Complexes:
     """Transform of a Hann window times the derivative of a signal, from the signal by the product rule."""
     n = len(samples)
     phase = 2.0 * np.pi * (np.arange(n) + 0.5) / n

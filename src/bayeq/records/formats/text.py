@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.errors import FileFormatError, WordsError
 from bayeq.records.columns import Columns, Headers, Names, Request, Select
 from bayeq.records.formats.cells import MISSING, Stamp, fitted, is_blank, is_comment, parse_stamp, split
@@ -28,7 +29,6 @@ from bayeq.records.formats.layout import Layout, comment_header, encodings, snif
 from bayeq.records.formats.limits import needing, reading
 from bayeq.records.formats.protocol import UNIT_ROWS, FileRows
 from bayeq.records.record import Record
-from bayeq.records.truth import FloatArray
 
 _FORTRAN = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+))[dD]([+-]?\d+)")
 _ROWS_AT_ONCE = 20_000
@@ -97,7 +97,7 @@ def _read(path: Path, where: str, encoding: str, names: Names, chosen: Select | 
     return replace(found, step=layout.step)
 
 
-def _is_trial_and_time(data: NDArray[np.float64]) -> bool:
+def _is_trial_and_time(data: Floats) -> bool:
     """Whether the leading two columns count trials and, within each, increase as time does."""
     trial, time = data[:, 0], data[:, 1]
     same = trial[1:] == trial[:-1]
@@ -115,7 +115,7 @@ class _Lines:
         self.first: dict[int, Stamp] = {}  # the first time stamp of each column that has them
         self.day_first = {column: self._day_first(column) for column in layout.stamps if column not in skipped}
 
-    def read(self) -> FloatArray:
+    def read(self) -> Floats:
         layout, mark = self.layout, self.layout.delimiter
         values = array("d")
         rows = last = 0
@@ -325,7 +325,7 @@ class TextRows(FileRows):
         found = Columns.build(self.headers, lambda i: values[i][taken], lambda _: columns)
         return replace(found, step=self.layout.step)
 
-    def _parsed(self, text: bytes, columns: list[int], start: int, stop: int) -> dict[int, FloatArray]:
+    def _parsed(self, text: bytes, columns: list[int], start: int, stop: int) -> dict[int, Floats]:
         where = f"{self.path}, rows {start + 1:,} to {stop:,}"
         with reading(where, "table of numbers"):
             if self.layout.delimiter is None:
@@ -337,7 +337,7 @@ class TextRows(FileRows):
             raise FileFormatError(f"{where}: the file has changed while it was read, or a cell has a line end in it")
         return values
 
-    def _by_arrow(self, text: bytes, columns: list[int]) -> dict[int, FloatArray]:
+    def _by_arrow(self, text: bytes, columns: list[int]) -> dict[int, Floats]:
         with needing("pyarrow", "parquet", "reading text files of this size"):
             import pyarrow as pa
             import pyarrow.csv as pc
