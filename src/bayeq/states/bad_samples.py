@@ -91,18 +91,11 @@ MOST_SPIKES = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """What channels were judged by, so that further records of the same system are judged by the same.
+    """What channels were judged by, so that further records of the same system are judged by the same."""
 
-    Attributes
-    ----------
-    models : dict of tuple of channels to KinematicModel
-        Motion and noise levels of an input, of a channel alone, and of a chain.
-    gains : dict of tuple of channels to (K+1,) array
-        Unit gains of chains.
-    """
-
+    # motion and noise levels of an input, of a channel alone, and of a chain
     models: dict[tuple[str | None, ...], KinematicModel] = field(default_factory=dict)
-    gains: dict[tuple[str | None, ...], Floats] = field(default_factory=dict)
+    gains: dict[tuple[str | None, ...], Floats] = field(default_factory=dict)  # of chains, (K+1,)
 
     def copy(self) -> Learned:
         """The same, to which others may be added."""
@@ -112,21 +105,10 @@ class Learned:
 def find_bad_samples(
     records: Sequence[Record], roles: Roles, learned: Learned | None = None
 ) -> list[dict[str, dict[str, Bools]]]:
-    """Bad samples of every channel that is used.
+    """Which samples are bad, (n,) bool: for each record of one system, channel that has some, and kind.
 
-    Parameters
-    ----------
-    records : sequence of Record
-        Of one system; NaN is a missing sample. Records without time, or of fewer than 40 rows, are not looked at.
-    roles : Roles
-        Chains and inputs.
-    learned : Learned, optional
-        What is in it is not learned again; what is learned is added.
-
-    Returns
-    -------
-    list of dict of dict
-        For each record, channel that has some, and kind: which samples are bad, (n,) bool.
+    NaN is a missing sample. Records without time, or of fewer than 40 rows, are not looked at. What is `learned`
+    already is not learned again; what is learned is added.
     """
     out: list[dict[str, dict[str, Bools]]] = [{} for _ in records]
     timed = [i for i, record in enumerate(records) if record.time is not None and record.n >= LEAST_ROWS]
@@ -149,17 +131,7 @@ def find_bad_samples(
 def without_bad_samples(
     records: Sequence[Record], roles: Roles, learned: Learned | None = None
 ) -> tuple[list[Record], list[str]]:
-    """The records with NaN in place of bad samples, and a message for each channel and kind.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        Of one system.
-    roles : Roles
-        Chains and inputs.
-    learned : Learned, optional
-        As for `find_bad_samples`.
-    """
+    """The records with NaN in place of what `find_bad_samples` finds, and a message for each channel and kind."""
     out, messages = [], []
     for record, channels in zip(records, find_bad_samples(records, roles, learned), strict=True):
         changed = {

@@ -37,26 +37,10 @@ TURNS = 40
 def without_hum(
     records: Sequence[Record], names: Sequence[str], low: float, high: float
 ) -> tuple[list[Record], list[str]]:
-    """Records without the lines that stand out of the spectra of channels above a frequency.
+    """Some channels of records without the lines that stand out of their spectra above what is believed, and a message.
 
-    Parameters
-    ----------
-    records : sequence of Record
-        With time; NaN where a sample is missing.
-    names : sequence of str
-        The channels that are wanted.
-    low, high : float
-        Frequencies that are believed [Hz].
-
-    Returns
-    -------
-    list of Record, list of str
-        And a message, if there were lines.
-
-    Raises
-    ------
-    RecordError
-        Records that are not sampled evenly, or slower than the band.
+    `low` and `high` are frequencies [Hz], NaN a missing sample. A RecordError says that a record is not sampled evenly,
+    or slower than the band.
     """
     found, heard = [], set[float]()
     for record in records:

@@ -26,31 +26,16 @@ from bayeq.states.unit_gains import bridged, unit_gains
 
 @dataclass(frozen=True, eq=False)
 class MotionRows:
-    """Consecutive rows of one record.
+    """Consecutive rows of one record; arrays are (n,)."""
 
-    Attributes
-    ----------
-    name : str
-        Of the record.
-    time : (n,) array or None
-        [s].
-    columns : mapping of str to (n,) array
-        What regressions are made of: states and targets (smoothed, where they were) and inputs, missing ones bridged,
-        and t where terms use it.
-    observed : mapping of str to (n,) array
-        What equations are judged by: each target as it was measured, as in `columns` where it was not.
-    samples : mapping of str to (n,) array
-        Measured channels of the chains, and inputs; NaN where a sample is missing.
-    known : (n,) bool array
-        Rows with a sample of every channel. The others are bridged.
-    """
-
-    name: str
-    time: Floats | None
+    name: str  # of the record
+    time: Floats | None  # [s]
+    # what regressions are made of: states and targets (smoothed, where they were) and inputs, missing ones bridged, and
+    # t where terms use it
     columns: Mapping[str, Floats]
-    observed: Mapping[str, Floats]
-    samples: Mapping[str, Floats]
-    known: Bools
+    observed: Mapping[str, Floats]  # what equations are judged by: targets as measured, or else as in `columns`
+    samples: Mapping[str, Floats]  # measured channels of the chains, and inputs; NaN where a sample is missing
+    known: Bools  # rows with a sample of every channel; the others are bridged
 
     @property
     def n(self) -> int:
@@ -76,36 +61,16 @@ class MotionRows:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """States, targets and inputs of records of one system.
-
-    Attributes
-    ----------
-    roles : Roles
-        Chains and inputs.
-    records : tuple of MotionRows
-        All rows of each record.
-    cuts : tuple of int
-        The first row of each record that is held out; its number of rows if none is.
-    smoothing : tuple of ChainSmoothing
-        How the kinematic smoother went over each chain that is measured; empty if it did not.
-    unit_gains : tuple of (K+1,) arrays
-        Of each chain, see `bayeq.states.unit_gains`.
-    holdout : float
-        Share of the rows of each record, the last, that is held out.
-    sensors : Sensors
-        What is known of the channels.
-    band : (float, float) or None
-        Frequencies [Hz] in which the records are believed.
-    """
+    """States, targets and inputs of records of one system."""
 
     roles: Roles
-    records: tuple[MotionRows, ...]
-    cuts: tuple[int, ...]
-    smoothing: tuple[ChainSmoothing, ...]
-    unit_gains: tuple[Floats, ...]
-    holdout: float
-    sensors: Sensors = field(default_factory=Sensors)
-    band: tuple[float, float] | None = None
+    records: tuple[MotionRows, ...]  # all rows of each
+    cuts: tuple[int, ...]  # the first row of each record that is held out; its number of rows if none is
+    smoothing: tuple[ChainSmoothing, ...]  # how the smoother went over each measured chain; empty if it did not
+    unit_gains: tuple[Floats, ...]  # of each chain, (K+1,), see `bayeq.states.unit_gains`
+    holdout: float  # share of the rows of each record, the last, that is held out
+    sensors: Sensors = field(default_factory=Sensors)  # what is known of the channels
+    band: tuple[float, float] | None = None  # frequencies [Hz] in which the records are believed
 
     @cached_property
     def train(self) -> tuple[MotionRows, ...]:
@@ -178,27 +143,10 @@ def estimate_motion(
     that were dropped from a uniform grid, or are missing (NaN), are bridged: the states then have a row for each. Where
     nothing is smoothed, rows with a missing sample are left out; with "none" they are an error. Less than 10 rows in
     all are differentiated as they are. Records without time are left to `derive_states`, whose errors are those of this
-    function. Noise levels are learned from the training rows; the rows held out are smoothed apart.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        Measured channels.
-    roles : Roles
-        Chains and inputs.
-    smooth : "auto", "band" or "none"
-        How derivatives that are not measured are estimated.
-    share : float
-        Of the rows, the last of each record, to hold out.
-    sensors : Sensors, optional
-        Noise levels that are known are not learned; lags are taken out.
-    band : (float, float), optional
-        Frequencies [Hz] in which the records are believed.
-
-    Raises
-    ------
-    UnknownNameError, RecordError, ChainError
-        Channels that are missing or cannot be used.
+    function. Noise levels are learned from the training rows; the rows held out, the last `share` of each record, are
+    smoothed apart. Noise levels that `sensors` know are not learned; lags are taken out. In `band`, frequencies [Hz],
+    records are believed. An UnknownNameError, RecordError or ChainError names channels that are missing or cannot be
+    used.
     """
     whole, sensors = smooth == "none", sensors or Sensors()
     if roles.hidden:
@@ -227,19 +175,10 @@ def estimate_motion(
 
 
 def with_hidden(motion: Motion, roles: Roles) -> Motion:
-    """The motion with hidden states: their laws integrated along each record.
+    """The motion, with time, with hidden states: their laws integrated along each record.
 
-    Parameters
-    ----------
-    motion : Motion
-        With time.
-    roles : Roles
-        Those of the motion, and hidden states whose laws have values of all constants.
-
-    Raises
-    ------
-    InputError
-        Laws that are not finite along a record.
+    `roles` are those of the motion, and hidden states whose laws have values of all constants. An InputError names laws
+    that are not finite along a record.
     """
     records = tuple(_with_columns(rows, hidden_columns(roles, rows.columns, rows.time)) for rows in motion.records)
     gains = motion.unit_gains[: len(roles.chains) - len(roles.hidden)]

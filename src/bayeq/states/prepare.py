@@ -46,28 +46,11 @@ SINGLE = (0.5, 1.5)
 def cleaned(
     records: Sequence[Record], roles: Roles, smooth: Smooth, learned: Learned | None = None
 ) -> tuple[list[Record], list[str]]:
-    """The records, row by row, with NaN in place of bad samples; with "none" as they are.
+    """The records of one system, row by row, with NaN in place of bad samples; with "none" as they are.
 
-    Parameters
-    ----------
-    records : sequence of Record
-        Of one system.
-    roles : Roles
-        Chains and inputs.
-    smooth : "auto", "band" or "none"
-        As `discover` takes it.
-    learned : Learned, optional
-        By what bad samples are judged, of other records of the system; what is missing there is added.
-
-    Returns
-    -------
-    list of Record, list of str
-        The records, and a message for each channel of which samples are missing or left out.
-
-    Raises
-    ------
-    UnknownNameError, RecordError
-        Channels that are missing, or of which most samples are infinite or too large to square.
+    And a message for each channel of which samples are missing or left out. Bad samples are judged by what was
+    `learned` of other records of the system; what is missing there is added. An UnknownNameError or RecordError names
+    channels that are missing, or of which most samples are infinite or too large to square.
     """
     if smooth == "none":
         return list(records), []
@@ -189,10 +172,8 @@ def bridged_record(record: Record, roles: Roles, most: float = 1.0) -> Record:
 def inputs_filled(record: Record, inputs: Sequence[str]) -> Record:
     """The record with missing samples of inputs filled in, of which a free run needs every one.
 
-    Raises
-    ------
-    RecordError
-        A gap longer than half the shortest period, at which `discover` would divide the record, or at an end.
+    A RecordError refuses a gap longer than half the shortest period, at which `discover` would divide the record, or at
+    an end.
     """
     lacking = [name for name in inputs if np.isnan(record[name]).any()]
     if not lacking or record.time is None:

@@ -38,15 +38,6 @@ COORDINATE = "x"
 class Chain:
     """A coordinate and its derivatives up to `order`.
 
-    Parameters
-    ----------
-    measured : tuple of (str or None)
-        The channel that measures each derivative, from order 0 up; None where none does, at least one.
-    called : tuple of (str or None), optional
-        Names of derivatives that are not measured, where they have one of their own.
-    law : Expression, optional
-        Rate of a hidden state, which no channel measures: stated, with constants that may be unknown.
-
     Examples
     --------
     >>> chain = parse_chain("x:v:")
@@ -70,9 +61,9 @@ class Chain:
     (('x[-1]', 'x', 'x[+1]'), '~x[-1]:x:~x[+1]')
     """
 
-    measured: tuple[str | None, ...]
-    called: tuple[str | None, ...] = ()
-    law: Expression | None = None
+    measured: tuple[str | None, ...]  # the channel that measures each derivative, from order 0 up; None where none does
+    called: tuple[str | None, ...] = ()  # names of derivatives that are not measured, where they have one of their own
+    law: Expression | None = None  # stated rate of a hidden state, with constants that may be unknown
 
     def with_law(self, law: Expression) -> Chain:
         """The chain with another law."""
@@ -147,12 +138,7 @@ def parse_chain(text: str) -> Chain:
     ``x:xdot`` (first order).
 
     ``x:~v:~a`` is ``x::`` with names for what is not measured, instead of dx and ddx; ``~q::a`` is ``::a`` with the
-    coordinate q instead of x. ``=F`` is the target of a static law.
-
-    Raises
-    ------
-    ChainError
-        Not of this form.
+    coordinate q instead of x. ``=F`` is the target of a static law. A ChainError refuses what is not of this form.
     """
     form = (
         "write it as x:v:a (second order), x:: (only x measured; x:~v:~a to name what is estimated), ::a (only a), x"
@@ -243,15 +229,6 @@ def _named_by_channel(chain: Chain) -> Chain:
 class Roles:
     """Chains and inputs of a system.
 
-    Parameters
-    ----------
-    chains : tuple of Chain
-        One per equation.
-    inputs : tuple of str
-        Channels of forces and other inputs.
-    timed : bool
-        Whether terms may use t, the time [s].
-
     Examples
     --------
     >>> roles = Roles.parse(displacement="x", velocity="v", acceleration="a", force="u")
@@ -259,9 +236,9 @@ class Roles:
     (('a',), ('x', 'v'), ('u',))
     """
 
-    chains: tuple[Chain, ...]
-    inputs: tuple[str, ...] = ()
-    timed: bool = False
+    chains: tuple[Chain, ...]  # one per equation
+    inputs: tuple[str, ...] = ()  # channels of forces and other inputs
+    timed: bool = False  # whether terms may use t, the time [s]
 
     @classmethod
     def parse(
@@ -277,12 +254,8 @@ class Roles:
     ) -> Roles:
         """Read the roles as a user writes them; where they are `discrete` each chain is a channel of a map.
 
-        Raises
-        ------
-        ChainError
-            No coordinate or target, chains beside single channels, or text that is not a chain.
-        InputError
-            An input that is named twice.
+        A ChainError refuses no coordinate or target, chains beside single channels, and text that is not a chain; an
+        InputError an input that is named twice.
         """
         for role, channel in (("displacement", displacement), ("velocity", velocity), ("acceleration", acceleration)):
             require_text(channel, role, optional=True)
@@ -379,12 +352,8 @@ class Roles:
     def for_terms(self, terms: Iterable[Expression]) -> Roles:
         """The same with the time as a variable where terms use it, unless a channel has its name.
 
-        Of maps also with the earlier samples that they use.
-
-        Raises
-        ------
-        InputError
-            A map with the time, or with samples that are too early.
+        Of maps also with the earlier samples that they use. An InputError refuses a map with the time, or with samples
+        that are too early.
         """
         names = {name for term in terms for name in term.names}
         timed = TIME not in self.names and TIME in names
