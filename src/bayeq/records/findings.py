@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.arrays import Floats
+from bayeq.arrays import Bools, Floats
 from bayeq.records.consistency import Frames, Relation, derivative_name, relate, shift_of, uniform_frames
 from bayeq.records.record import Record
 from bayeq.records.repair import counts_rows
@@ -395,7 +395,7 @@ def _again(record: Record, names: Sequence[str]) -> list[Finding]:
     return [Finding("again", tuple(names), message, float(b - a))]
 
 
-def equal_runs(values: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def equal_runs(values: Floats | Bools) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """First rows and lengths of runs of equal consecutive samples."""
     starts = np.flatnonzero(np.concatenate([[True], values[1:] != values[:-1]]))
     return starts, np.diff(np.append(starts, len(values)))

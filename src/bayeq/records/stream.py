@@ -99,13 +99,7 @@ class FileStream:
         return replace(self, request=replace(self.request, columns=others, channels=kept))
 
     def read(self, start: int, stop: int) -> Record:
-        """Rows `start` to `stop` as a record.
-
-        Raises
-        ------
-        FileFormatError, RecordError, UnknownNameError
-            As `bayeq.read`; the message says between which rows.
-        """
+        """Rows `start` to `stop` as a record; errors are those of `bayeq.read`, and say between which rows."""
         request = self.request
         data = request.renamed(self._columns(start, stop))
         if data.step is not None:
@@ -180,10 +174,7 @@ def open_streams(
 ) -> list[FileStream]:
     """Files, and those of folders, as records that are read some rows at a time; the options are those of `bayeq.read`.
 
-    Raises
-    ------
-    FileFormatError
-        A file that is missing, or of a format of which rows cannot be read by themselves.
+    A FileFormatError names a file that is missing, or of a format of which rows cannot be read by themselves.
     """
     if any(STAR in path for path in (channels or {}).values()):
         raise InputError(f"a path with {STAR} is several records; name one of them, files are streamed one by one")

@@ -8,7 +8,7 @@ acceleration agrees with one side, and in a burst the samples around the one tha
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -484,8 +484,7 @@ def _long_runs(series: ChainSeries) -> Bools:
         starts, lengths = equal_runs(values)
         usual = float(np.median(np.repeat(lengths, lengths)))
         long = (lengths >= max(LEAST_STUCK, TIMES_USUAL * usual)) & np.isfinite(values[starts])
-        for start, length in zip(starts[long], lengths[long], strict=True):
-            out[start : start + length, k] = True
+        out[:, k] = np.repeat(long, lengths)
     return out
 
 
@@ -501,8 +500,9 @@ def _stuck(series: ChainSeries, runs: Bools, calm: ChainSeries, model: Kinematic
         values, sd, others = samples[:, k], float(model.noise_sd[k] or 0.0), [j for j in measured if j != k]
         steps = np.abs(np.diff(values))
         usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], runs[:, k].astype(np.int8), [0]])))
-        for first, last in _parts(values, edges):
+        starts, lengths = equal_runs(values)
+        long = runs[starts, k]
+        for first, last in zip(starts[long], (starts + lengths)[long], strict=True):
             rows = slice(first, last)
             judged = np.isfinite(seen[rows][:, others]).any(axis=1) if others else np.zeros(0, dtype=np.bool_)
             if judged.sum() >= LEAST_STUCK:
@@ -512,13 +512,6 @@ def _stuck(series: ChainSeries, runs: Bools, calm: ChainSeries, model: Kinematic
                 stops = abs(values[first] - values[first - 1]) <= JUMP * usual
                 out[rows, k] = stops and abs(values[last] - values[last - 1]) > JUMP * usual
     return out
-
-
-def _parts(values: Floats, edges: NDArray[np.intp]) -> Iterator[tuple[int, int]]:
-    """First rows and ends of stretches of one value each."""
-    for first, last in edges.reshape(-1, 2):
-        cuts = first + 1 + np.flatnonzero(np.diff(values[first:last]))
-        yield from zip([int(first), *cuts.tolist()], [*cuts.tolist(), int(last)], strict=True)
 
 
 def _clipped(series: ChainSeries) -> Bools:

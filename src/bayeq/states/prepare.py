@@ -9,6 +9,7 @@ import numpy as np
 from bayeq.arrays import Bools, Floats, Ints
 from bayeq.errors import InputError, RecordError
 from bayeq.records import Record, correct_delay, split_at_gaps
+from bayeq.records.findings import equal_runs
 from bayeq.records.record import with_samples
 from bayeq.records.settings import RECORDS
 from bayeq.records.validate import is_step
@@ -150,11 +151,8 @@ def without_empty_rows(records: Sequence[Record], roles: Roles) -> list[Record]:
 
 def _long(missing: Bools) -> Bools:
     """Stretches of more than two."""
-    out = np.zeros_like(missing)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], missing.astype(np.int8), [0]]))).reshape(-1, 2)
-    for first, last in edges:
-        out[first:last] = last - first > SHORT
-    return out
+    starts, lengths = equal_runs(missing)
+    return np.repeat(missing[starts] & (lengths > SHORT), lengths)
 
 
 def bridged_record(record: Record, roles: Roles, most: float = 1.0) -> Record:
@@ -256,12 +254,6 @@ def filled_in(time: Floats, samples: Floats) -> Floats:
 
 def fitted_grid(time: Floats) -> tuple[Ints, float, float]:
     """Number of each sample on a grid that begins with the first, and its begin and step."""
-    index = _places(time)
-    return index, *_fitted(time, index)
-
-
-def _places(time: Floats) -> Ints:
-    """Number of each sample on a grid that begins with the first."""
     steps = np.diff(time)
     median = float(np.median(steps))
     single = steps[(steps > SINGLE[0] * median) & (steps < SINGLE[1] * median)]
@@ -269,7 +261,8 @@ def _places(time: Floats) -> Ints:
     # once more with the grid of all samples, which a long gap asks for
     start, step = _fitted(time, index)
     again = np.round((time - start) / step).astype(np.int64)
-    return again - again[0]
+    index = again - again[0]
+    return index, *_fitted(time, index)
 
 
 def _fitted(time: Floats, index: Ints) -> tuple[float, float]:

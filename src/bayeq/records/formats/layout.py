@@ -62,7 +62,6 @@ class Layout(NamedTuple):
     encoding: str
     delimiter: str | None  # between cells; None for white space
     header: list[str] | None  # its cells; may be one longer or shorter than `width` where lines end in a delimiter
-    header_line: int  # counted from 1
     comment: str  # the comment line directly before the data, without its mark; it may name the columns
     skip: int  # lines before the first row of data
     width: int  # cells in the first row of data
@@ -111,10 +110,7 @@ def _sample(path: Path, encoding: str, where: str, skip: int) -> tuple[list[tupl
 def sniff(path: Path, encoding: str, where: str = "", skip: int = 0) -> Layout:
     """Find the layout from the first lines below `skip`.
 
-    Raises
-    ------
-    FileFormatError
-        The file is empty, has no rows, or its header does not fit its rows.
+    A FileFormatError says that the file is empty, has no rows, or a header that does not fit its rows.
     """
     where = where or str(path)
     lines, comments = _sample(path, encoding, where, skip)
@@ -149,7 +145,7 @@ def sniff(path: Path, encoding: str, where: str = "", skip: int = 0) -> Layout:
     comma = delimiter in (";", "\t", "|") and not any(_has_point(row, delimiter, stamps) for row in data)
     step = table.step if table is not None and table.step is not None else stated_step(comments)
     comment = comments[-1] if comments else ""
-    return Layout(encoding, delimiter, header, line, comment, lines[first][0] - 1, width, comma, stamps, step)
+    return Layout(encoding, delimiter, header, comment, lines[first][0] - 1, width, comma, stamps, step)
 
 
 def _has_point(row: str, delimiter: str | None, stamps: tuple[int, ...]) -> bool:

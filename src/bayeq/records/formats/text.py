@@ -81,7 +81,7 @@ def _read(path: Path, where: str, encoding: str, names: Names, chosen: Select | 
         if chosen is not None and (given is not None or not unnamed or not readings):
             named = headers if given is None else headers.renamed([*given, *[""] * (layout.width - len(given))])
             skipped = set(range(layout.width)) - set(chosen(named))
-        lines = _Lines(path, layout, headers, skipped, where)
+        lines = _Lines(path, layout, headers, skipped)
         data = lines.read()
         if lines.trailing and not headers.texts[-1] and layout.width > 1 and len(given or ()) != layout.width:
             data = data[:, :-1]
@@ -91,7 +91,7 @@ def _read(path: Path, where: str, encoding: str, names: Names, chosen: Select | 
         headers = Headers.parse(["trial", "t", *readings[0]], where)
     if layout.stamps:
         kept = range(len(headers))
-        headers = headers.with_units(["s" if i in layout.stamps else headers.units[i] for i in kept])
+        headers = replace(headers, units=["s" if i in layout.stamps else headers.units[i] for i in kept])
     columns = np.ascontiguousarray(data.T)
     found = Columns.build(headers.renamed(given), columns.__getitem__, chosen)
     return replace(found, step=layout.step)
@@ -107,9 +107,9 @@ def _is_trial_and_time(data: Floats) -> bool:
 class _Lines:
     """The thorough reader: every cell is looked at, the first fault is reported."""
 
-    def __init__(self, path: Path, layout: Layout, headers: Headers, skipped: Collection[int], where: str = "") -> None:
+    def __init__(self, path: Path, layout: Layout, headers: Headers, skipped: Collection[int]) -> None:
         self.path, self.layout, self.headers, self.skipped = path, layout, headers, skipped
-        self.where = where or str(path)
+        self.where = headers.where
         self.trailing = True  # whether the last cell of every row is empty
         self.start = 0  # line of the first row
         self.first: dict[int, Stamp] = {}  # the first time stamp of each column that has them
