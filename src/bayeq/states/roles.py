@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import keyword
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from bayeq.errors import ChainError, InputError, require_text, require_texts
@@ -257,9 +257,9 @@ class Roles:
         A ChainError refuses no coordinate or target, chains beside single channels, and text that is not a chain; an
         InputError an input that is named twice.
         """
-        for role, channel in (("displacement", displacement), ("velocity", velocity), ("acceleration", acceleration)):
+        single = {"displacement": displacement, "velocity": velocity, "acceleration": acceleration}
+        for role, channel in (*single.items(), ("force", force)):
             require_text(channel, role, optional=True)
-        require_text(force, "force", optional=True)
         require_texts(inputs, "inputs")
         if chains is not None:
             require_texts(chains, "chains")
@@ -269,15 +269,11 @@ class Roles:
         if len(set(named)) < len(named):
             raise InputError(f"an input is named twice: {', '.join(named)}")
         static = _static(target, named)
-        single = displacement is not None or velocity is not None or acceleration is not None
-        if chains is None and (single or not static):
-            parsed = _oscillator(displacement, velocity, acceleration, named)
-            parsed = parse_chains([*map(str, parsed), *static], named) if static else parsed
-        elif displacement or velocity or acceleration:
+        if chains is None and (any(name is not None for name in single.values()) or not static):
+            chains = _oscillator(single)
+        elif any(single.values()):
             raise ChainError("give either chains or displacement, velocity and acceleration, not both")
-        else:
-            given = [chains] if isinstance(chains, str) else list(chains or ())
-            parsed = parse_chains([*given, *static], named)
+        parsed = parse_chains([*([chains] if isinstance(chains, str) else chains or ()), *static], named)
         if not named and all(chain.static for chain in parsed):
             raise ChainError(
                 f"{parsed[0].target!r} is to follow from nothing: name the channels that it is a function of (inputs=,"
@@ -394,18 +390,16 @@ def _static(target: str | Sequence[str] | None, inputs: Sequence[str]) -> list[s
     return [f"{STATIC}{name}" for name in names]
 
 
-def _oscillator(
-    displacement: str | None, velocity: str | None, acceleration: str | None, inputs: Sequence[str]
-) -> tuple[Chain, ...]:
+def _oscillator(single: Mapping[str, str | None]) -> str:
     """The chain of one second-order coordinate from the names of its channels."""
-    if displacement is None and velocity is None and acceleration is None:
+    if all(channel is None for channel in single.values()):
         raise ChainError(
             "no coordinate given: name the displacement (and, where measured, velocity and acceleration), or a chain"
             " such as x:v:a"
         )
-    for role, channel in (("displacement", displacement), ("velocity", velocity), ("acceleration", acceleration)):
+    for role, channel in single.items():
         if channel is not None and (not channel.strip() or ":" in channel):
             raise ChainError(
                 f"{role} {channel[:60]!r} is not a channel's name; name one, or give a chain such as x:v:a instead"
             )
-    return parse_chains([":".join(name or "" for name in (displacement, velocity, acceleration))], inputs)
+    return ":".join(name or "" for name in single.values())
