@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Protocol
@@ -81,11 +81,11 @@ class FileStream:
     """The record of a file."""
 
     rows: FileRows
-    request: Request = field(default_factory=Request)  # the columns that are read: all, where none is named
-    name: str = ""  # of the record
-    units: Mapping[str, str] = field(default_factory=dict)  # of columns, instead of those in the file
-    path: Path | None = None  # of the file, which has to stay in this state
-    state: FileState | None = None
+    request: Request  # the columns that are read: all, where none is named
+    name: str  # of the record
+    units: Mapping[str, str]  # of columns, instead of those in the file
+    path: Path  # of the file, which has to stay in this state
+    state: FileState | None
 
     @property
     def bounds(self) -> Sequence[int]:
@@ -126,8 +126,7 @@ class FileStream:
         try:
             columns = self.rows.read(start, stop, self.request)
         finally:
-            if self.path is not None:
-                require_unchanged(self.path, self.state)
+            require_unchanged(self.path, self.state)
         for values in columns.values:
             values.setflags(write=False)
         return columns

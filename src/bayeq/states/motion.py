@@ -156,7 +156,7 @@ def estimate_motion(
         cuts = tuple(cut_at(rows.n, share) for rows in pieces)
         gains = tuple(np.ones(chain.order + 1) for chain in roles.chains)
         return Motion(roles, pieces, cuts, (), gains, share, sensors, band)
-    records = [without_lags(record, sensors.lags) for record in records] if sensors.lags else records
+    records = [without_lags(record, sensors.lags) for record in records]
     if all(record.time is not None for record in records) and sum(record.n for record in records) < STATES.few_rows:
         smooth = "none"
         records = records if whole else [complete_rows(record, roles) for record in records]
@@ -164,13 +164,13 @@ def estimate_motion(
     smoothing: tuple[ChainSmoothing, ...] = ()
     if smoothed is None:
         records = records if whole else [complete_rows(record, roles) for record in records]
-        pieces = tuple(_as_measured(record, roles) for record in records)
-        cuts = tuple(cut_at(rows.n, share) for rows in pieces)
+        pieces = tuple(_rows(one, roles, derive_states(one, roles.chains, roles.inputs)) for one in records)
         even = [on_grid(record, roles.measured) for record in records]
         gains = tuple(unit_gains(even, chain, [cut_at(record.n, share) for record in even]) for chain in roles.chains)
     else:
-        pieces, cuts, smoothing = smoothed
+        pieces, smoothing = smoothed
         gains = tuple(one.unit_gains for one in smoothing)
+    cuts = tuple(cut_at(rows.n, share) for rows in pieces)
     return Motion(roles, pieces, cuts, smoothing, gains, share, sensors, band)
 
 
@@ -203,7 +203,7 @@ def further_rows(record: Record, motion: Motion) -> MotionRows:
     roles = motion.roles
     filled = on_grid(record, roles.channels)
     chains = zip(roles.chains, motion.smoothing, strict=True)
-    return _rows(filled, roles, [smooth_further(filled, chain, smoothing) for chain, smoothing in chains])
+    return _smoothed_rows(filled, roles, [smooth_further(filled, chain, smoothing) for chain, smoothing in chains])
 
 
 def _of_map(record: Record, roles: Roles) -> MotionRows:
@@ -230,18 +230,9 @@ def _of_map(record: Record, roles: Roles) -> MotionRows:
     return MotionRows(record.name, record.time, columns, observed, samples, known)
 
 
-def _as_measured(record: Record, roles: Roles) -> MotionRows:
-    """States and targets as measured, missing derivatives by differences."""
-    columns = derive_states(record, roles.chains, roles.inputs)
-    samples = {name: np.asarray(record[name]) for name in roles.channels}
-    observed = {target: columns[target] for target in roles.targets}
-    columns = {**columns, **_time(record, roles)}
-    return MotionRows(record.name, record.time, columns, observed, samples, np.ones(record.n, dtype=np.bool_))
-
-
 def _smoothed(
     records: Sequence[Record], roles: Roles, smooth: Smooth, share: float, sensors: Sensors
-) -> tuple[tuple[MotionRows, ...], tuple[int, ...], tuple[ChainSmoothing, ...]] | None:
+) -> tuple[tuple[MotionRows, ...], tuple[ChainSmoothing, ...]] | None:
     """Rows by the kinematic smoother; None where records are taken as measured."""
     timed = all(record.time is not None for record in records)
     wanted = timed and smooth != "none"
@@ -256,28 +247,33 @@ def _smoothed(
     if not wanted:
         return None
     filled = [on_grid(record, roles.channels) for record in records]
-    cuts = tuple(cut_at(record.n, share) for record in filled)
+    cuts = [cut_at(record.n, share) for record in filled]
     try:
         found = [smooth_chain(filled, chain, cuts, sensors.noise) for chain in roles.chains]
     except RecordError:
         if integrated:  # which only the smoother can do
             raise
         return None
-    rows = tuple(_rows(record, roles, [means[i] for means, _ in found]) for i, record in enumerate(filled))
-    return rows, cuts, tuple(smoothing for _, smoothing in found)
+    pieces = (_smoothed_rows(record, roles, [means[i] for means, _ in found]) for i, record in enumerate(filled))
+    return tuple(pieces), tuple(smoothing for _, smoothing in found)
 
 
-def _rows(record: Record, roles: Roles, means: Sequence[Floats]) -> MotionRows:
+def _smoothed_rows(record: Record, roles: Roles, means: Sequence[Floats]) -> MotionRows:
     """Rows of a record on its grid with the smoothed derivatives (n, K + 1) of each chain."""
-    samples = {name: np.asarray(record[name]) for name in roles.channels}
     assert record.time is not None
-    columns = {name: filled_in(np.asarray(record.time), samples[name]) for name in roles.inputs}
+    columns = {name: filled_in(record.time, record[name]) for name in roles.inputs}
     for chain, values in zip(roles.chains, means, strict=True):
         if chain.static:  # no motion: it may jump
-            columns[chain.target] = filled_in(np.asarray(record.time), samples[chain.target])
+            columns[chain.target] = filled_in(record.time, record[chain.target])
             continue
         columns.update((name, np.ascontiguousarray(own)) for name, own in zip(chain.names, values.T, strict=True))
-    columns.update(_time(record, roles))
+    return _rows(record, roles, columns)
+
+
+def _rows(record: Record, roles: Roles, columns: Mapping[str, Floats]) -> MotionRows:
+    """Rows of a record whose states, targets and inputs are known."""
+    samples = {name: np.asarray(record[name]) for name in roles.channels}
+    columns = {**columns, **_time(record, roles)}
     observed = {
         target: np.where(np.isnan(samples[target]), columns[target], samples[target])
         if target in samples

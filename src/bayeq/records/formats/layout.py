@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 from bayeq.errors import FileFormatError
 from bayeq.records.formats.cells import (
@@ -25,6 +25,8 @@ from bayeq.records.formats.cells import (
     words,
 )
 from bayeq.records.formats.limits import MOST_COLUMNS
+
+T = TypeVar("T")
 
 _SAMPLE_LINES = 200
 _SAMPLE_BYTES = 65536
@@ -79,6 +81,16 @@ def encodings(path: Path) -> tuple[str, ...]:
     if any(byte < 32 and byte not in b"\t\n\v\f\r\x1a" for byte in raw):
         return ()
     return ("utf-8-sig", "latin-1")
+
+
+def decoded(path: Path, where: str, read: Callable[[str], T]) -> T:
+    """What is read in the first encoding that fits; a FileFormatError if the file is not text."""
+    for encoding in encodings(path):
+        try:
+            return read(encoding)
+        except UnicodeError:  # also a UTF-16 file that ends within a character
+            continue
+    raise FileFormatError(f"{where}: not a text file")
 
 
 def looks_like_text(path: Path) -> bool:

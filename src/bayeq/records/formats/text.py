@@ -25,7 +25,7 @@ from bayeq.arrays import Floats
 from bayeq.errors import FileFormatError, WordsError
 from bayeq.records.columns import Columns, Headers, Names, Request, Select
 from bayeq.records.formats.cells import MISSING, Stamp, fitted, is_blank, is_comment, parse_stamp, split
-from bayeq.records.formats.layout import Layout, comment_header, encodings, sniff
+from bayeq.records.formats.layout import Layout, comment_header, decoded, encodings, sniff
 from bayeq.records.formats.limits import needing, reading
 from bayeq.records.formats.protocol import UNIT_ROWS, FileRows
 from bayeq.records.record import Record
@@ -49,12 +49,8 @@ def read_columns(
     Comment lines begin with ``#`` or ``%``; the one directly before the data names the columns if there is
     no other header and the number of its words fits. Empty cells, NA and nan become NaN.
     """
-    for encoding in encodings(path):
-        try:
-            return _read(path, where or str(path), encoding, names, chosen, skip)
-        except UnicodeError:  # also a UTF-16 file that ends within a character
-            continue
-    raise FileFormatError(f"{where or path}: not a text file")
+    where = where or str(path)
+    return decoded(path, where, lambda encoding: _read(path, where, encoding, names, chosen, skip))
 
 
 def _named(layout: Layout, where: str) -> tuple[Headers, Sequence[Sequence[str]]]:
