@@ -213,7 +213,17 @@ def _spectra(p: Floats, q: Floats, order: int, frames: Frames) -> _Spectra:
     power_a, power_b = (_smooth(np.mean(np.abs(v) ** 2, axis=0) + 0j).real for v in (A, B))
     # a bin beside a resonance holds mostly the resonance: its mean frequency, not its middle, turns a delay to a phase
     omega = rate.imag / np.maximum(power_b, TINY)
-    return _Spectra(cross, power_a, power_b, omega, _weights(cross, power_a, power_b, frames))
+    # inverse variance of the phase of each bin, 0 where nothing is coherent (Hannan and Thomson 1973)
+    independent = len(frames.starts) / OVERLAP
+    averaged = independent * max((2 * SMOOTHING + 1) / BANDWIDTH, 1.0)
+    coherence = np.abs(cross) ** 2 / np.maximum(power_a * power_b, TINY)
+    # chance alone gives 1/averaged on average, and more than `chance` once in a thousand
+    chance = 1.0 - 1e-3 ** (1.0 / max(averaged - 1.0, 1.0))
+    corrected = np.clip((coherence - 1.0 / averaged) / (1.0 - 1.0 / averaged), 0.0, MOST_COHERENT)
+    weight = 2.0 * independent * corrected / (1.0 - corrected)
+    weight[(coherence < chance) | (power_a * power_b <= TINY)] = 0.0
+    weight[-1] = 0.0  # half the sampling rate: real, and aliased
+    return _Spectra(cross, power_a, power_b, omega, weight)
 
 
 def _detrended(time: Floats, values: Floats, degree: int) -> Floats:
@@ -226,20 +236,6 @@ def _smooth(values: Complexes) -> Complexes:
     """Averages over neighbouring bins."""
     kernel = np.full(2 * SMOOTHING + 1, 1.0 / (2 * SMOOTHING + 1))
     return np.convolve(np.pad(values, SMOOTHING, mode="edge"), kernel, mode="valid")
-
-
-def _weights(cross: Complexes, power_a: Floats, power_b: Floats, frames: Frames) -> Floats:
-    """Inverse variance of the phase of each bin, 0 where nothing is coherent (Hannan and Thomson 1973)."""
-    independent = len(frames.starts) / OVERLAP
-    averaged = independent * max((2 * SMOOTHING + 1) / BANDWIDTH, 1.0)
-    coherence = np.abs(cross) ** 2 / np.maximum(power_a * power_b, TINY)
-    # chance alone gives 1/averaged on average, and more than `chance` once in a thousand
-    chance = 1.0 - 1e-3 ** (1.0 / max(averaged - 1.0, 1.0))
-    corrected = np.clip((coherence - 1.0 / averaged) / (1.0 - 1.0 / averaged), 0.0, MOST_COHERENT)
-    weight = 2.0 * independent * corrected / (1.0 - corrected)
-    weight[(coherence < chance) | (power_a * power_b <= TINY)] = 0.0
-    weight[-1] = 0.0  # half the sampling rate: real, and aliased
-    return np.asarray(weight)
 
 
 def _align(phase: Floats, weight: Floats, omega: Floats, dt: float) -> tuple[int, float, float]:
