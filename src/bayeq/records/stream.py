@@ -84,8 +84,7 @@ class FileStream:
     request: Request  # the columns that are read: all, where none is named
     name: str  # of the record
     units: Mapping[str, str]  # of columns, instead of those in the file
-    path: Path  # of the file, which has to stay in this state
-    state: FileState | None
+    state: FileState | None  # that the file has to stay in
 
     @property
     def bounds(self) -> Sequence[int]:
@@ -126,7 +125,7 @@ class FileStream:
         try:
             columns = self.rows.read(start, stop, self.request)
         finally:
-            require_unchanged(self.path, self.state)
+            require_unchanged(self.rows.path, self.state)
         for values in columns.values:
             values.setflags(write=False)
         return columns
@@ -188,7 +187,7 @@ def open_streams(
                 raise FileFormatError(
                     f"{path}: {row.title} is not read some rows at a time; write it as Parquet, HDF5, NPY or text"
                 )
-            stream = FileStream(row.rows(path, request), request, path.name, dict(units or {}), path, state)
+            stream = FileStream(row.rows(path, request), request, path.name, dict(units or {}), state)
             if not stream.bounds[-1]:
                 raise FileFormatError(f"{path}: no rows")
         except OSError as error:

@@ -55,41 +55,31 @@ def cleaned(
     """
     if smooth == "none":
         return list(records), []
-    records, messages = _without_impossible(records, roles)
+    missing = missing_messages(records, roles)
+    records, impossible = _without_impossible(records, roles)
     for record in records:
         require_usable(bridged_record(record, roles), roles.channels)
     if roles.discrete:  # whose samples may be anywhere from one to the next
-        return records, messages
+        return records, [*missing, *impossible]
     found, bad = without_bad_samples(records, roles, learned)
-    return found, [*messages, *bad]
+    return found, [*missing, *impossible, *bad]
 
 
 def _without_impossible(records: Sequence[Record], roles: Roles) -> tuple[list[Record], list[str]]:
-    """Records with NaN in place of infinite samples and those too large to square, unless most are.
-
-    And a sentence for each channel of which samples are missing, then for each with such samples.
-    """
-    out, missing, impossible = [], [], []
+    """Records with NaN in place of infinite samples and those too large to square, unless most are; what to say."""
+    out, messages = [], []
     for record in records:
         where = f"{record.name or 'record'}: " if len(records) > 1 else ""
         changed = {}
         for name in roles.channels:
             values = record[name]
-            lacking, bad = np.isnan(values), np.abs(values) > LARGEST  # not so of NaN
-            if lacking.any():
-                what = f"missing ({listed(lacking)}: {100 * lacking.sum() / record.n:.2g} %)"
-                missing.append(f"{where}{name}: {_samples_are(lacking)} {what}; check the acquisition")
+            bad = np.abs(values) > LARGEST  # not so of NaN
             if 0 < bad.sum() < 0.5 * np.isfinite(values).sum():
                 changed[name] = np.where(bad, np.nan, values)
                 what = f"infinite or beyond {LARGEST:g} ({listed(bad)}): taken as missing"
-                impossible.append(f"{where}{name}: {_samples_are(bad)} {what}; check the acquisition")
+                messages.append(f"{where}{name}: {_samples_are(bad)} {what}; check the acquisition")
         out.append(with_samples(record, changed))
-    return out, [*missing, *impossible]
-
-
-def _samples_are(rows: Bools) -> str:
-    count = int(rows.sum())
-    return "1 sample is" if count == 1 else f"{count} samples are"
+    return out, messages
 
 
 def divided_at_gaps(records: Sequence[Record], roles: Roles, smooth: Smooth) -> tuple[list[Record], list[str]]:
@@ -100,6 +90,24 @@ def divided_at_gaps(records: Sequence[Record], roles: Roles, smooth: Smooth) -> 
     if smooth == "none":
         return list(records), []
     return split_at_gaps(without_empty_rows(records, roles), roles.channels)
+
+
+def missing_messages(records: Sequence[Record], roles: Roles) -> list[str]:
+    """A sentence for each channel of which samples are missing."""
+    out = []
+    for record in records:
+        where = f"{record.name or 'record'}: " if len(records) > 1 else ""
+        for name in roles.channels:
+            rows = np.isnan(record[name])
+            if rows.any():
+                what = f"missing ({listed(rows)}: {100 * rows.sum() / record.n:.2g} %)"
+                out.append(f"{where}{name}: {_samples_are(rows)} {what}; check the acquisition")
+    return out
+
+
+def _samples_are(rows: Bools) -> str:
+    count = int(rows.sum())
+    return "1 sample is" if count == 1 else f"{count} samples are"
 
 
 def has_all(record: Record, roles: Roles) -> Bools:
