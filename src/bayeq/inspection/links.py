@@ -139,8 +139,9 @@ def find_links(record: Record, names: Sequence[str]) -> list[Link]:
         if rates[q] < NOT_SLOWER * rates[p]:
             continue
         for order in (1, 2):
-            expected = _expected(record, p, q, order)
-            if expected is not None and math.isnan(expected):
+            stated = p in record.units and q in record.units
+            expected = derivative_ratio(record.units[p], record.units[q], order) if stated else None
+            if stated and expected is None:  # no units of a motion and this derivative
                 continue
             relation = relate(record.time, record[p], record[q], order, frames)
             if relation is not None and _is_derivative(relation, expected, rates[q] / rates[p], frames):
@@ -157,15 +158,6 @@ def _mean_frequency(values: Floats) -> float:
     if not power.sum() > 0.0:
         return 1.0
     return math.exp(float(power @ np.log(np.arange(1, len(power) + 1))) / float(power.sum()))
-
-
-def _expected(record: Record, p: str, q: str, order: int) -> float | None:
-    """The gain that units say; None where one is not known, NaN where they contradict a derivative."""
-    below, above = record.units.get(p), record.units.get(q)
-    if below is None or above is None:
-        return None
-    ratio = derivative_ratio(below, above, order)
-    return float("nan") if ratio is None else ratio
 
 
 def _nearest(gain: float, expected: float | None) -> float:

@@ -136,18 +136,15 @@ def check_messages(
     records: Sequence[Record], chains: Sequence[Sequence[str | None]], inputs: Sequence[str] = ()
 ) -> list[str]:
     """A sentence for each kind of finding about each channel, however many records show it."""
-    first: dict[tuple[str, tuple[str, ...]], tuple[Record, str]] = {}
-    count: dict[tuple[str, tuple[str, ...]], int] = {}
+    found: dict[tuple[str, tuple[str, ...]], list[str]] = {}
+    several = len(records) > 1
     for record in records:
+        where = f"{record.name or 'a record'}: " if several else ""
         for finding in check_record(record, chains, inputs):
-            key = finding.kind, finding.channels
-            first.setdefault(key, (record, finding.message))
-            count[key] = count.get(key, 0) + 1
-    if len(records) == 1:
-        return [message for _, message in first.values()]
+            found.setdefault((finding.kind, finding.channels), []).append(where + finding.message)
     return [
-        f"{record.name or 'a record'}: {message}{f' (and {count[key] - 1} more records alike)' * (count[key] > 1)}"
-        for key, (record, message) in first.items()
+        first + (f" (and {len(others)} more records alike)" if others and several else "")
+        for first, *others in found.values()
     ]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -136,13 +137,7 @@ def with_row_numbers(records: Sequence[Record]) -> list[Record]:
     if any(record.time is not None or "t" in record.channels or not _in_order(record) for record in records):
         return list(records)
     return [
-        Record(
-            record.channels,
-            np.arange(record.n, dtype=np.float64),
-            {**record.units, "t": SAMPLES},
-            record.name,
-            record.truth,
-        )
+        replace(record, time=np.arange(record.n, dtype=np.float64), units={**record.units, "t": SAMPLES})
         for record in records
     ]
 

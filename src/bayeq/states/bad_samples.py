@@ -247,28 +247,14 @@ class _Group:
             mask[:, frequent] = False
         return model
 
-    def is_constant(self, i: int) -> bool:
-        """Whether the first channel of a record has one value besides its spikes."""
-        return not np.ptp(self._without_spikes(i))
-
-    def is_noise(self, i: int) -> bool:
-        """Whether there is nothing but noise in the first channel of a record besides its spikes."""
-        values = self._without_spikes(i)
-        # of white noise steps have twice the variance
-        steps, spread = np.median(np.abs(np.diff(values))), np.median(np.abs(values - np.median(values)))
-        return bool(steps >= ONLY_NOISE * math.sqrt(2.0) * spread)
-
-    def _without_spikes(self, i: int) -> Floats:
-        values = np.asarray(self.series[i].channels[0])[~self.spikes[i][:, 0]]
-        return values[np.isfinite(values)]
-
 
 def _keep_answered(inputs: Sequence[_Group], chains: Sequence[_Group]) -> None:
     """Put back blows: spikes of an input that a chain's motion answers, and the answers of its highest derivative."""
     seen = [chain for chain in chains if chain.names[-1] is not None]
     for group in inputs:
         for i, spikes in enumerate(group.spikes):
-            blows = _blows(np.asarray(group.series[i].channels[0]))
+            values = np.asarray(group.series[i].channels[0])
+            blows, quiet = _blows(values), values[np.isfinite(values) & ~spikes[:, 0]]
             answered = np.zeros_like(blows)
             for chain in seen:
                 answer = np.asarray(chain.series[i].channels[-1])
@@ -276,11 +262,17 @@ def _keep_answered(inputs: Sequence[_Group], chains: Sequence[_Group]) -> None:
                 chain.spikes[i][_wider(blows), -1] = False
             places = _places(np.flatnonzero(spikes[:, 0]), ANSWER)
             # beside a force that a window made zero between blows there is nothing but these
-            few = len(places) < LEAST_BLOWS and not group.is_constant(i)
-            unseen = not seen and not few and group.is_noise(i)
+            few = len(places) < LEAST_BLOWS and np.ptp(quiet) > 0.0
+            unseen = not seen and not few and _is_noise(quiet)
             for place in places:
                 if unseen or answered[place].any():
                     spikes[place] = False
+
+
+def _is_noise(values: Floats) -> bool:
+    """Whether there is nothing but noise in a channel: of white noise steps have twice the variance."""
+    steps, spread = np.median(np.abs(np.diff(values))), np.median(np.abs(values - np.median(values)))
+    return bool(steps >= ONLY_NOISE * math.sqrt(2.0) * spread)
 
 
 def _places(rows: NDArray[np.intp], apart: int) -> list[NDArray[np.intp]]:
