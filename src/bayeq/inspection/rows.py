@@ -77,7 +77,9 @@ def sort_rows(record: Record, time: str | None = None) -> Experiments:
         counter = next(
             (name for name in record.names if _counts_rows(record[name]) and _doubt(record, name) == 2), None
         )
-        time = time or _time_column(record, counter)
+        if not time:  # the column that rises steadily, or starts over: by its unit, its name, or the first there is
+            rising = [name for name in record.names if name != counter and _rises(record[name])]
+            time = min(rising, key=lambda name: _doubt(record, name), default=None)
         if time is not None:
             clock = record[time] * SECONDS.get(record.units.get(time, "s"), 1.0)
         elif (step := next((name for name in record.names if _is_step(record, name)), None)) is not None:
@@ -111,12 +113,6 @@ def _is_step(record: Record, name: str) -> bool:
 def _counts_rows(values: Floats) -> bool:
     """Whether a column is 0, 1, 2 ... or 1, 2, 3 ..."""
     return len(values) >= LEAST_RISING and bool(values[0] in (0.0, 1.0) and (np.diff(values) == 1.0).all())
-
-
-def _time_column(record: Record, counter: str | None) -> str | None:
-    """The column that rises steadily, or starts over: by its unit, its name, or the first there is."""
-    rising = [name for name in record.names if name != counter and _rises(record[name])]
-    return min(rising, key=lambda name: _doubt(record, name), default=None)
 
 
 def _doubt(record: Record, name: str) -> int:

@@ -283,17 +283,14 @@ class Roles:
         for name in named:
             if name in roles.measured:
                 raise ChainError(f"channel {name!r} is both an input and part of a chain")
-        return roles.of_maps if discrete else roles
-
-    @property
-    def of_maps(self) -> Roles:
-        """The same channels, with equations for their next samples."""
-        for chain in self.chains:
+        if not discrete:
+            return roles
+        for chain in parsed:
             if chain.order != 1 or chain.measured[1] is not None or chain.called:
                 raise ChainError(
                     f"chain {str(chain)!r}: a map is of single channels, each a chain: --chain x, chains='x'"
                 )
-        return self.with_chains([chain_of_map(str(chain.measured[0]), 0) for chain in self.chains])
+        return roles.with_chains([chain_of_map(str(chain.measured[0]), 0) for chain in parsed])
 
     @property
     def discrete(self) -> bool:
