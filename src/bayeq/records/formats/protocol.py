@@ -62,9 +62,15 @@ class FileRows:
         raise NotImplementedError
 
 
-def grid(rows: int) -> tuple[int, ...]:
-    """Bounds of units of equal length."""
-    return (*range(0, rows, UNIT_ROWS), rows)
+def grid(rows: int, unit: int = UNIT_ROWS) -> tuple[int, ...]:
+    """Bounds of units of equal length.
+
+    Examples
+    --------
+    >>> grid(10, 4)
+    (0, 4, 8, 10)
+    """
+    return (*range(0, rows, unit), rows)
 
 
 def parts_between(bounds: Sequence[int], start: int, stop: int) -> list[int]:
