@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.records.sampling import even_step
+from bayeq.records.validate import even_step
 
 __all__ = ["smooth_derivative"]
 

@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bayeq.arrays import Floats
 from bayeq.records import Record
 from bayeq.records.findings import equal_runs
-from bayeq.records.truth import FloatArray
 
 # Rows by which a channel's levels and repeated samples are judged: enough to see how it was sampled.
 JUDGED = 20_000
@@ -81,7 +81,7 @@ def describe_channels(records: Sequence[Record]) -> dict[str, ChannelInfo]:
 class _Clock(NamedTuple):
     """Time of a record, its step, and whether that is even."""
 
-    time: FloatArray | None
+    time: Floats | None
     step: float | None
     even: bool
 
@@ -114,7 +114,7 @@ def _described(records: Sequence[Record], clocks: Sequence[_Clock], name: str) -
     )
 
 
-def _sampling(values: FloatArray) -> tuple[float | None, float | None]:
+def _sampling(values: Floats) -> tuple[float | None, float | None]:
     """Distance of levels if it is coarse, and how many rows a sample is held if more than one."""
     levels = np.unique(values)
     if len(levels) < 2:
@@ -128,7 +128,7 @@ def _sampling(values: FloatArray) -> tuple[float | None, float | None]:
     return (distance if coarse else None), held
 
 
-def _even_pieces(values: FloatArray, clock: _Clock) -> list[FloatArray]:
+def _even_pieces(values: Floats, clock: _Clock) -> list[Floats]:
     """Samples of a channel at even steps of time, interpolated where time is uneven or samples are missing.
 
     The record is divided at gaps of more than 2.5 steps, which nothing is interpolated over.
@@ -152,7 +152,7 @@ def _even_pieces(values: FloatArray, clock: _Clock) -> list[FloatArray]:
 # --- spectra ---------------------------------------------------------------------------------------------------------
 
 
-def spectrum(pieces: Sequence[FloatArray], step: float) -> Spectrum | None:
+def spectrum(pieces: Sequence[Floats], step: float) -> Spectrum | None:
     """Spectrum of stretches of one channel at even steps of time [s], without NaN; None of short or constant ones."""
     longest = max((len(piece) for piece in pieces), default=0)
     length = longest if longest <= SHORT else min(LONGEST, longest // 4)

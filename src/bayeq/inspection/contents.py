@@ -92,7 +92,12 @@ class RecordInfo:
         return f"<RecordInfo of {self.name or 'a record'}: {self.rows} rows, {len(self.channels)} channels>"
 
     def _repr_html_(self) -> str:
-        return as_html(self)
+        rows = [_row(self, channel, False) for channel in self.channels.values()]
+        parts = [paragraph(title(self), strong=True), table(HEADER, rows, LEFT)]
+        for heading, texts in _sections(self):
+            parts += [paragraph(heading), items(texts)]
+        parts += [paragraph("next"), code(self.proposal.command or self.proposal.python)]
+        return join(*parts, items(self.proposal.notes))
 
     def to_dict(self) -> dict[str, Any]:
         """What ``bayeq info --json`` prints.
@@ -175,16 +180,6 @@ def as_text(found: RecordInfo, plain: bool = False) -> str:
     lines += ["", "next", f"  {found.proposal.command or found.proposal.python}"]
     lines += [f"  {note}" for note in found.proposal.notes]
     return "\n".join(printable(line.rstrip()) for line in lines)
-
-
-def as_html(found: RecordInfo) -> str:
-    """The summary for a notebook: title, channels, what was noticed, and what to run next."""
-    rows = [_row(found, channel, False) for channel in found.channels.values()]
-    parts = [paragraph(title(found), strong=True), table(HEADER, rows, LEFT)]
-    for heading, texts in _sections(found):
-        parts += [paragraph(heading), items(texts)]
-    parts += [paragraph("next"), code(found.proposal.command or found.proposal.python)]
-    return join(*parts, items(found.proposal.notes))
 
 
 def title(found: RecordInfo) -> str:

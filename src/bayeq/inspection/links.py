@@ -14,10 +14,11 @@ from itertools import combinations, permutations
 
 import numpy as np
 
+from bayeq.arrays import Floats
 from bayeq.inspection.channels import ChannelInfo
 from bayeq.records import Record
 from bayeq.records.consistency import Frames, Relation, derivative_name, relate, uniform_frames
-from bayeq.records.truth import FloatArray
+from bayeq.records.record import with_samples
 from bayeq.records.units import derivative_ratio
 
 # Channels are compared on at most this many rows, the middle ones. A faster record is first averaged over blocks of
@@ -114,14 +115,12 @@ def _even(record: Record) -> Record:
         return record
     known = {name: np.isfinite(values) for name, values in record.channels.items()}
     gappy = {name: rows for name, rows in known.items() if MOSTLY < rows.mean() < 1.0}
-    if gappy:
-        filled = {name: np.interp(record.time, record.time[r], record[name][r]) for name, r in gappy.items()}
-        units = {name: unit for name, unit in record.units.items() if name in filled}
-        record = record.with_channels(filled, units)
-    if record.is_uniform() or record.time is None:
+    own = record.time
+    record = with_samples(record, {name: np.interp(own, own[r], record[name][r]) for name, r in gappy.items()})
+    if record.is_uniform():
         return record
-    time = record.time[0] + step * np.arange(min(int((record.time[-1] - record.time[0]) / step) + 1, 2 * record.n))
-    channels = {name: np.interp(time, record.time, values) for name, values in record.channels.items()}
+    time = own[0] + step * np.arange(min(int((own[-1] - own[0]) / step) + 1, 2 * record.n))
+    channels = {name: np.interp(time, own, values) for name, values in record.channels.items()}
     return Record(channels, time, record.units, record.name)
 
 
@@ -140,8 +139,9 @@ def find_links(record: Record, names: Sequence[str]) -> list[Link]:
         if rates[q] < NOT_SLOWER * rates[p]:
             continue
         for order in (1, 2):
-            expected = _expected(record, p, q, order)
-            if expected is not None and math.isnan(expected):
+            stated = p in record.units and q in record.units
+            expected = derivative_ratio(record.units[p], record.units[q], order) if stated else None
+            if stated and expected is None:  # no units of a motion and this derivative
                 continue
             relation = relate(record.time, record[p], record[q], order, frames)
             if relation is not None and _is_derivative(relation, expected, rates[q] / rates[p], frames):
@@ -151,22 +151,13 @@ def find_links(record: Record, names: Sequence[str]) -> list[Link]:
     return [link for _, link in sorted(found, key=lambda one: one[0])]
 
 
-def _mean_frequency(values: FloatArray) -> float:
+def _mean_frequency(values: Floats) -> float:
     """Geometric mean of the frequencies of a channel, weighted by power above noise, in bins."""
     power = np.abs(np.fft.rfft(np.hanning(len(values)) * (values - values.mean())))[1:] ** 2
     power = np.maximum(power - min(float(np.median(band)) for band in np.array_split(power, 4)), 0.0)
     if not power.sum() > 0.0:
         return 1.0
     return math.exp(float(power @ np.log(np.arange(1, len(power) + 1))) / float(power.sum()))
-
-
-def _expected(record: Record, p: str, q: str, order: int) -> float | None:
-    """The gain that units say; None where one is not known, NaN where they contradict a derivative."""
-    below, above = record.units.get(p), record.units.get(q)
-    if below is None or above is None:
-        return None
-    ratio = derivative_ratio(below, above, order)
-    return float("nan") if ratio is None else ratio
 
 
 def _nearest(gain: float, expected: float | None) -> float:
@@ -270,7 +261,7 @@ def drivers(record: Record, chain: Sequence[str | None], candidates: Sequence[st
     return out
 
 
-def _scaled(record: Record, names: Sequence[str]) -> dict[str, FloatArray]:
+def _scaled(record: Record, names: Sequence[str]) -> dict[str, Floats]:
     """Channels without missing samples, of mean 0 and standard deviation 1."""
     out = {}
     for name in names:
@@ -281,18 +272,18 @@ def _scaled(record: Record, names: Sequence[str]) -> dict[str, FloatArray]:
     return out
 
 
-def _width(scaled: dict[str, FloatArray], states: Sequence[str]) -> int:
+def _width(scaled: dict[str, Floats], states: Sequence[str]) -> int:
     """Rows of a window."""
     peaks = [int(np.argmax(np.abs(np.fft.rfft(scaled[name]))[1:])) + 1 for name in states]
     return max(1, round(WINDOW * len(scaled[states[0]]) / max(peaks)))
 
 
-def _products(channels: Sequence[FloatArray]) -> list[FloatArray]:
+def _products(channels: Sequence[Floats]) -> list[Floats]:
     """Channels, their squares and their products."""
     return [*channels, *(channels[i] * channels[j] for i in range(len(channels)) for j in range(i + 1))]
 
 
-def _integrals(terms: Sequence[FloatArray], time: FloatArray, width: int) -> FloatArray:
+def _integrals(terms: Sequence[Floats], time: Floats, width: int) -> Floats:
     """Integrals over windows from row to row, (n - width, P + 1); the first column is that of a constant."""
     steps = np.diff(time)
     columns = [np.ones(len(time) - width)]
@@ -302,11 +293,11 @@ def _integrals(terms: Sequence[FloatArray], time: FloatArray, width: int) -> Flo
     return np.column_stack(columns)
 
 
-def _left(D: FloatArray, y: FloatArray) -> float:
+def _left(D: Floats, y: Floats) -> float:
     """Sum of squares that least squares leave."""
     rest = y - D @ np.linalg.lstsq(D, y, rcond=None)[0]
     return float(rest @ rest)
 
 
-def _spread(y: FloatArray) -> float:
+def _spread(y: Floats) -> float:
     return max(float(np.sum((y - y.mean()) ** 2)), float(np.finfo(np.float64).tiny))

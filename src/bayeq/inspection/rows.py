@@ -14,13 +14,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.arrays import Bools
+from bayeq.arrays import Bools, Floats
 from bayeq.inspection.roles import Guess
 from bayeq.records import Record
 from bayeq.records.findings import clipped_levels, equal_runs
 from bayeq.records.names import is_time_name
 from bayeq.records.repair import GAP, LONG_GAP
-from bayeq.records.truth import FloatArray
 from bayeq.records.validate import SECONDS
 from bayeq.states import Roles
 from bayeq.states.bad_samples import BAD, find_bad_samples
@@ -73,12 +72,14 @@ class Experiments:
 def sort_rows(record: Record, time: str | None = None) -> Experiments:
     """Find the columns of time (or take that of this name) and of experiments, and divide the rows."""
     counter = step = None
-    clock: FloatArray | None = record.time
+    clock: Floats | None = record.time
     if clock is None:
         counter = next(
             (name for name in record.names if _counts_rows(record[name]) and _doubt(record, name) == 2), None
         )
-        time = time or _time_column(record, counter)
+        if not time:  # the column that rises steadily, or starts over: by its unit, its name, or the first there is
+            rising = [name for name in record.names if name != counter and _rises(record[name])]
+            time = min(rising, key=lambda name: _doubt(record, name), default=None)
         if time is not None:
             clock = record[time] * SECONDS.get(record.units.get(time, "s"), 1.0)
         elif (step := next((name for name in record.names if _is_step(record, name)), None)) is not None:
@@ -109,15 +110,9 @@ def _is_step(record: Record, name: str) -> bool:
     return named and len(known) > 0 and bool(known[0] > 0.0 and (known == known[0]).all())
 
 
-def _counts_rows(values: FloatArray) -> bool:
+def _counts_rows(values: Floats) -> bool:
     """Whether a column is 0, 1, 2 ... or 1, 2, 3 ..."""
     return len(values) >= LEAST_RISING and bool(values[0] in (0.0, 1.0) and (np.diff(values) == 1.0).all())
-
-
-def _time_column(record: Record, counter: str | None) -> str | None:
-    """The column that rises steadily, or starts over: by its unit, its name, or the first there is."""
-    rising = [name for name in record.names if name != counter and _rises(record[name])]
-    return min(rising, key=lambda name: _doubt(record, name), default=None)
 
 
 def _doubt(record: Record, name: str) -> int:
@@ -130,7 +125,7 @@ def _doubt(record: Record, name: str) -> int:
     return 1 if counted or is_time_name(name) or any(word in folded for word in TIME_WORDS) else 2
 
 
-def _rises(values: FloatArray) -> bool:
+def _rises(values: Floats) -> bool:
     """Whether a column rises from row to row, except where it starts over."""
     if len(values) < LEAST_RISING or not np.isfinite(values).all():
         return False
@@ -142,7 +137,7 @@ def _rises(values: FloatArray) -> bool:
     return bool(back.all() and lengths.min() >= LEAST_ROWS)
 
 
-def _trial_column(record: Record, restarts: Ints, clock: FloatArray | None, others: set[str | None]) -> str | None:
+def _trial_column(record: Record, restarts: Ints, clock: Floats | None, others: set[str | None]) -> str | None:
     """The column that numbers the experiments: whole numbers that change where time starts over or has a long gap.
 
     One whose name says so may change elsewhere, or not at all.
@@ -164,7 +159,7 @@ def _trial_column(record: Record, restarts: Ints, clock: FloatArray | None, othe
     return None
 
 
-def _at_gaps(clock: FloatArray | None, rows: Ints) -> bool:
+def _at_gaps(clock: Floats | None, rows: Ints) -> bool:
     if clock is None:
         return False
     steps = np.diff(clock)
@@ -289,7 +284,7 @@ def _windows(record: Record, names: Sequence[str], most: int) -> list[tuple[int,
     return [(max(0, k * WINDOW - MARGIN), min((k + 1) * WINDOW + MARGIN, record.n), suspects[k]) for k in sorted(worst)]
 
 
-def _suspicious(values: FloatArray) -> list[tuple[int, float]]:
+def _suspicious(values: Floats) -> list[tuple[int, float]]:
     """Rows of sudden changes and of long runs of equal samples, and how far they are from the usual."""
     third = np.abs(np.diff(values, 3))
     third[~np.isfinite(third)] = 0.0

@@ -19,10 +19,10 @@ from bayeq.records.repair import (
     split_at_gaps,
     with_row_numbers,
 )
-from bayeq.records.truth import FloatArray, Truth
+from bayeq.records.truth import Truth
 
 __all__ = [
-    "FORMATS", "RESERVED", "SAMPLES", "UNKNOWN_TIME", "Finding", "FloatArray", "Format", "Record", "Truth", "as_record",
+    "FORMATS", "RESERVED", "SAMPLES", "UNKNOWN_TIME", "Finding", "Format", "Record", "Truth", "as_record",
     "as_records", "check_messages", "check_record", "clean_name", "clean_names", "correct_delay", "counts_rows", "join",
     "read", "remove_offset", "split_at_gaps", "with_row_numbers", "without_copies", "write",
 ]  # fmt: skip

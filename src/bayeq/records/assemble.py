@@ -10,10 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.errors import DataWarning, RecordError
 from bayeq.records.columns import Columns, listed
 from bayeq.records.names import time_unit
-from bayeq.records.truth import FloatArray
 from bayeq.records.units import gain_and_unit
 from bayeq.records.validate import SECONDS, check_time, time_from, trial_starts
 
@@ -27,8 +27,8 @@ RATE_NAMES = (
 class Trial(NamedTuple):
     """What a `Record` is made of: channels, time [s], units, name."""
 
-    channels: dict[str, FloatArray]
-    time: FloatArray | None
+    channels: dict[str, Floats]
+    time: Floats | None
     units: dict[str, str]
     name: str
 
@@ -81,7 +81,7 @@ def assemble(
             stops = [*starts[1:], len(kept)]
 
     step, step_column = (None, None) if seconds is not None else _stated_step(data, fs)
-    channels: dict[str, FloatArray] = {}
+    channels: dict[str, Floats] = {}
     for i, (column, values) in enumerate(zip(data.names, data.values, strict=True)):
         if i not in (time_column, group_column) and (i != step_column if wanted is None else i in wanted):
             channels[column] = values
@@ -120,7 +120,7 @@ def find_time(
     return next((i for i, x in enumerate(data.values) if units.get(i) in SECONDS and _rises(x)), None)
 
 
-def _rises(values: FloatArray) -> bool:
+def _rises(values: Floats) -> bool:
     with np.errstate(invalid="ignore"):
         return len(values) > 1 and bool(np.all(np.isfinite(values))) and bool(np.all(np.diff(values) > 0))
 
@@ -144,9 +144,7 @@ def _stated_step(data: Columns, fs: float | None) -> tuple[float | None, int | N
     return step, None
 
 
-def _time(
-    data: Columns, column: int | None, units: Mapping[int, str | None]
-) -> tuple[FloatArray | None, dict[str, str]]:
+def _time(data: Columns, column: int | None, units: Mapping[int, str | None]) -> tuple[Floats | None, dict[str, str]]:
     """Time in seconds, and the unit it has if that cannot be turned into seconds."""
     if column is None:
         return None, {}
@@ -172,7 +170,7 @@ def _warn_of_repeated(rows: NDArray[np.intp], where: str) -> None:
     warnings.warn(message, DataWarning, stacklevel=4)
 
 
-def _since_first(time: FloatArray, unit: str | None) -> tuple[FloatArray, str | None]:
+def _since_first(time: Floats, unit: str | None) -> tuple[Floats, str | None]:
     """Time since 1970, of the years 2001 to 2096, as time since the first row, and its unit; others as they are."""
     if len(time) > 1:
         for own, factor in (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)):

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayeq.arrays import Floats
 from bayeq.errors import FileFormatError, InputError, RecordError, UnknownNameError, WordsError
 from bayeq.records.names import clean_name, clean_names, is_time_name
-from bayeq.records.truth import FloatArray
 from bayeq.records.validate import SECONDS, as_column, as_time
 
 if TYPE_CHECKING:
@@ -113,11 +113,7 @@ class Headers:
         if len(names) != len(self):
             raise FileFormatError(f"{self.where}: names gives {len(names)} names for {len(self)} columns")
         new = Headers.parse(names, self.where)
-        return new.with_units([unit or old for unit, old in zip(new.units, self.units, strict=True)])
-
-    def with_units(self, units: list[str | None]) -> Headers:
-        """The same columns with these units."""
-        return Headers(self.texts, self.names, units, self.where)
+        return replace(new, units=[unit or old for unit, old in zip(new.units, self.units, strict=True)])
 
 
 #: Which columns to read, given their names.
@@ -129,7 +125,7 @@ class Columns:
     """Columns of a file, in order."""
 
     headers: Headers
-    values: list[FloatArray]  # samples, (n,) each; missing cells are NaN
+    values: list[Floats]  # samples, (n,) each; missing cells are NaN
     doubts: tuple[str, ...] = ()  # what to warn of
     time: int | None = None  # the column that is time, where something other than its name says so
     step: float | None = None  # time step [s] that the file states
@@ -151,17 +147,16 @@ class Columns:
             what = f"column {headers.texts[i] or headers.names[i]!r}"
             try:
                 if raw.dtype.kind in "mM":
-                    arrays.append(as_time(raw))
+                    arrays.append(as_time(raw, headers.where))
                     kept.units[place] = "s"
                 else:
-                    arrays.append(as_column(raw, what))
+                    arrays.append(as_column(raw, what, headers.where))
             except RecordError as error:
-                message = f"{headers.where}: {error}"
                 if raw.dtype.kind in "biufc":
-                    raise FileFormatError(message) from None
+                    raise FileFormatError(str(error)) from None
                 others = [headers.names[j] for j in rows if j != i]
                 hint = "; name the columns to read if this one is not needed"
-                raise WordsError(message + hint, headers.names[i], others) from None
+                raise WordsError(f"{error}{hint}", headers.names[i], others) from None
         return cls(kept, arrays, tuple(headers.clashes(rows)))
 
     @classmethod
@@ -270,12 +265,7 @@ class Request:
     def each(self, paths: Sequence[str], where: str) -> list[Request]:
         """This request for each of the arrays that ``[*]`` stands for; itself where no path has one.
 
-        Parameters
-        ----------
-        paths : list of str
-            Paths of all arrays of the file.
-        where : str
-            The file, for messages.
+        `paths` are those of all arrays of the file, which messages call `where`.
         """
         starred = [p for p in (*(self.names or ()), self.time, self.group) if p is not None and STAR in p]
         numbers: dict[str, set[int]] = {}

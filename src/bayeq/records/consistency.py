@@ -17,9 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bayeq.arrays import Complexes, Ints
+from bayeq.arrays import Complexes, Floats, Ints
 from bayeq.records.settings import RECORDS
-from bayeq.records.truth import FloatArray
 
 TINY = float(np.finfo(np.float64).tiny)
 
@@ -97,7 +96,7 @@ class Relation(NamedTuple):
     weight: float  # information: the phase of the whole is known to 1/sqrt(weight) rad
 
 
-def uniform_frames(time: FloatArray) -> Frames | None:
+def uniform_frames(time: Floats) -> Frames | None:
     """Frames of rows at even steps of time; None where there are too few."""
     n = len(time)
     length = SHORTEST
@@ -120,7 +119,7 @@ def uniform_frames(time: FloatArray) -> Frames | None:
     return Frames(np.array(starts, dtype=np.int64), length, dt)
 
 
-def _windows(frames: Frames, order: int) -> FloatArray:
+def _windows(frames: Frames, order: int) -> Floats:
     """Derivatives 0 to `order` of the window, (order + 1, L)."""
     span = frames.length * frames.dt
     t = frames.dt * (np.arange(frames.length) + 0.5)
@@ -132,7 +131,7 @@ def _windows(frames: Frames, order: int) -> FloatArray:
     return window
 
 
-def _weak_derivative(values: FloatArray, frames: Frames, order: int) -> Complexes:
+def _weak_derivative(values: Floats, frames: Frames, order: int) -> Complexes:
     """Short-time spectra of the `order`-th derivative of a channel, (K, bins)."""
     window, omega = _windows(frames, order), 2.0 * math.pi * np.fft.rfftfreq(frames.length, frames.dt)
     # a constant is lost in the derivative; taken out first it leaves no rounding
@@ -149,7 +148,7 @@ def derivative_name(name: str, order: int) -> str:
     return f"d{name}/dt" if order == 1 else f"d{order}{name}/dt{order}"
 
 
-def relate(time: FloatArray, p: FloatArray, q: FloatArray, order: int, frames: Frames) -> Relation | None:
+def relate(time: Floats, p: Floats, q: Floats, order: int, frames: Frames) -> Relation | None:
     """Compare a channel q with the `order`-th derivative of p, neither constant; None if nothing can be compared."""
     # in units of their own, so that no power of them overflows
     size_p, size_q = float(np.ptp(p)), float(np.ptp(q))
@@ -201,23 +200,33 @@ class _Spectra(NamedTuple):
     """
 
     cross: Complexes
-    power_a: FloatArray
-    power_b: FloatArray
-    omega: FloatArray
-    weight: FloatArray
+    power_a: Floats
+    power_b: Floats
+    omega: Floats
+    weight: Floats
 
 
-def _spectra(p: FloatArray, q: FloatArray, order: int, frames: Frames) -> _Spectra:
+def _spectra(p: Floats, q: Floats, order: int, frames: Frames) -> _Spectra:
     A = _weak_derivative(q, frames, 0)
     B, next_one = (_weak_derivative(p, frames, order + j) for j in (0, 1))
     cross, rate = (_smooth(np.mean(v * B.conj(), axis=0)) for v in (A, next_one))
     power_a, power_b = (_smooth(np.mean(np.abs(v) ** 2, axis=0) + 0j).real for v in (A, B))
     # a bin beside a resonance holds mostly the resonance: its mean frequency, not its middle, turns a delay to a phase
     omega = rate.imag / np.maximum(power_b, TINY)
-    return _Spectra(cross, power_a, power_b, omega, _weights(cross, power_a, power_b, frames))
+    # inverse variance of the phase of each bin, 0 where nothing is coherent (Hannan and Thomson 1973)
+    independent = len(frames.starts) / OVERLAP
+    averaged = independent * max((2 * SMOOTHING + 1) / BANDWIDTH, 1.0)
+    coherence = np.abs(cross) ** 2 / np.maximum(power_a * power_b, TINY)
+    # chance alone gives 1/averaged on average, and more than `chance` once in a thousand
+    chance = 1.0 - 1e-3 ** (1.0 / max(averaged - 1.0, 1.0))
+    corrected = np.clip((coherence - 1.0 / averaged) / (1.0 - 1.0 / averaged), 0.0, MOST_COHERENT)
+    weight = 2.0 * independent * corrected / (1.0 - corrected)
+    weight[(coherence < chance) | (power_a * power_b <= TINY)] = 0.0
+    weight[-1] = 0.0  # half the sampling rate: real, and aliased
+    return _Spectra(cross, power_a, power_b, omega, weight)
 
 
-def _detrended(time: FloatArray, values: FloatArray, degree: int) -> FloatArray:
+def _detrended(time: Floats, values: Floats, degree: int) -> Floats:
     """A channel without its polynomial of a degree."""
     basis = np.polynomial.legendre.legvander(2.0 * (time - time[0]) / (time[-1] - time[0]) - 1.0, degree)
     return np.asarray(values - basis @ np.linalg.solve(basis.T @ basis, basis.T @ values))
@@ -229,21 +238,7 @@ def _smooth(values: Complexes) -> Complexes:
     return np.convolve(np.pad(values, SMOOTHING, mode="edge"), kernel, mode="valid")
 
 
-def _weights(cross: Complexes, power_a: FloatArray, power_b: FloatArray, frames: Frames) -> FloatArray:
-    """Inverse variance of the phase of each bin, 0 where nothing is coherent (Hannan and Thomson 1973)."""
-    independent = len(frames.starts) / OVERLAP
-    averaged = independent * max((2 * SMOOTHING + 1) / BANDWIDTH, 1.0)
-    coherence = np.abs(cross) ** 2 / np.maximum(power_a * power_b, TINY)
-    # chance alone gives 1/averaged on average, and more than `chance` once in a thousand
-    chance = 1.0 - 1e-3 ** (1.0 / max(averaged - 1.0, 1.0))
-    corrected = np.clip((coherence - 1.0 / averaged) / (1.0 - 1.0 / averaged), 0.0, MOST_COHERENT)
-    weight = 2.0 * independent * corrected / (1.0 - corrected)
-    weight[(coherence < chance) | (power_a * power_b <= TINY)] = 0.0
-    weight[-1] = 0.0  # half the sampling rate: real, and aliased
-    return np.asarray(weight)
-
-
-def _align(phase: FloatArray, weight: FloatArray, omega: FloatArray, dt: float) -> tuple[int, float, float]:
+def _align(phase: Floats, weight: Floats, omega: Floats, dt: float) -> tuple[int, float, float]:
     """Sign and delay that maximise sum of W cos(phase + omega delay), and that maximum over the sum of W."""
     kept = weight > 0.0
     phase, weight, omega = phase[kept], weight[kept] / weight[kept].sum(), omega[kept]
@@ -267,7 +262,7 @@ def _align(phase: FloatArray, weight: FloatArray, omega: FloatArray, dt: float) 
     return sign, delay, sign * float(weight @ np.cos(phase + omega * delay))
 
 
-def shift_of(p: FloatArray, q: FloatArray, order: int, frames: Frames, gain: float, gain_error: float = 0.0) -> Shift:
+def shift_of(p: Floats, q: Floats, order: int, frames: Frames, gain: float, gain_error: float = 0.0) -> Shift:
     """Offset and drift of a channel q against `gain` times the `order`-th derivative of p.
 
     The standard error of the gain counts where the derivative has a mean, or a trend: that of a shaft that turns.
@@ -291,13 +286,13 @@ def shift_of(p: FloatArray, q: FloatArray, order: int, frames: Frames, gain: flo
     )
 
 
-def _local_means(values: FloatArray, order: int, frames: Frames) -> FloatArray:
+def _local_means(values: Floats, order: int, frames: Frames) -> Floats:
     """Means of the `order`-th derivative of a channel over the window of each frame, (K,)."""
     window = _windows(frames, 0)
     return np.asarray(_weak_derivative(values, frames, order)[:, 0].real / (window.sum() * frames.dt))
 
 
-def _line(means: FloatArray, frames: Frames) -> tuple[float, float]:
+def _line(means: Floats, frames: Frames) -> tuple[float, float]:
     """Value at the middle of the frames, and change per second, of a line through local means."""
     t = (frames.starts - frames.starts.mean()) * frames.dt
     return float(means.mean()), float(t @ means / (t @ t))

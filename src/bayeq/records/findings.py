@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.arrays import Floats
+from bayeq.arrays import Bools, Floats
 from bayeq.records.consistency import Frames, Relation, derivative_name, relate, shift_of, uniform_frames
 from bayeq.records.record import Record
 from bayeq.records.repair import counts_rows
@@ -136,18 +136,15 @@ def check_messages(
     records: Sequence[Record], chains: Sequence[Sequence[str | None]], inputs: Sequence[str] = ()
 ) -> list[str]:
     """A sentence for each kind of finding about each channel, however many records show it."""
-    first: dict[tuple[str, tuple[str, ...]], tuple[Record, str]] = {}
-    count: dict[tuple[str, tuple[str, ...]], int] = {}
+    found: dict[tuple[str, tuple[str, ...]], list[str]] = {}
+    several = len(records) > 1
     for record in records:
+        where = f"{record.name or 'a record'}: " if several else ""
         for finding in check_record(record, chains, inputs):
-            key = finding.kind, finding.channels
-            first.setdefault(key, (record, finding.message))
-            count[key] = count.get(key, 0) + 1
-    if len(records) == 1:
-        return [message for _, message in first.values()]
+            found.setdefault((finding.kind, finding.channels), []).append(where + finding.message)
     return [
-        f"{record.name or 'a record'}: {message}{f' (and {count[key] - 1} more records alike)' * (count[key] > 1)}"
-        for key, (record, message) in first.items()
+        first + (f" (and {len(others)} more records alike)" if others and several else "")
+        for first, *others in found.values()
     ]
 
 
@@ -395,7 +392,7 @@ def _again(record: Record, names: Sequence[str]) -> list[Finding]:
     return [Finding("again", tuple(names), message, float(b - a))]
 
 
-def equal_runs(values: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def equal_runs(values: Floats | Bools) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """First rows and lengths of runs of equal consecutive samples."""
     starts = np.flatnonzero(np.concatenate([[True], values[1:] != values[:-1]]))
     return starts, np.diff(np.append(starts, len(values)))

@@ -228,10 +228,7 @@ def near_files(path: Path) -> str:
 def as_records(source: Any, t: Any = None) -> list[Record]:
     """One record or several, from what `as_record` takes or a sequence of such; `t` is one for all.
 
-    Raises
-    ------
-    InputError
-        No record, or something that cannot be one.
+    An InputError says that there is no record, or something that cannot be one.
     """
     if isinstance(source, Sequence) and not isinstance(source, (str, bytes)) and not _is_data(source):
         records = [as_record(one, t) for one in source]

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from bayeq.arrays import Bools, Floats
 from bayeq.errors import RecordError, require_kind
 from bayeq.records.record import Record
-from bayeq.records.truth import FloatArray
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 #: Sampling rates that differ by less than this share are the same.
 SAME_RATE = 0.01
@@ -80,7 +75,7 @@ def _label(record: Record) -> str:
     return record.name or "record"
 
 
-def _time(record: Record) -> FloatArray:
+def _time(record: Record) -> Floats:
     require_kind(record, Record, "each of what is joined", "a Record")
     if record.time is None or record.n < 4:
         what = "has no time" if record.time is None else f"has {record.n} rows, too few for a spline"
@@ -121,13 +116,13 @@ def _share_above(record: Record, name: str, frequency: float) -> float:
     return float(power[above].sum()) / total if total > 0 else 0.0
 
 
-def _finite(record: Record, name: str) -> tuple[FloatArray, FloatArray]:
+def _finite(record: Record, name: str) -> tuple[Floats, Floats]:
     time, values = _time(record), record[name]
-    finite: NDArray[np.bool_] = np.isfinite(values)
+    finite: Bools = np.isfinite(values)
     return time[finite], values[finite]
 
 
-def _at(wanted: FloatArray, other: Record, name: str) -> FloatArray:
+def _at(wanted: Floats, other: Record, name: str) -> Floats:
     """A channel at the times that are wanted; NaN where the samples beside a row are missing."""
     from scipy.interpolate import CubicSpline
 

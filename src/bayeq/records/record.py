@@ -10,12 +10,21 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
+from bayeq.arrays import Floats
 from bayeq.errors import RecordError, UnknownNameError, require_kind
 from bayeq.records.assemble import assemble
 from bayeq.records.columns import Columns, Headers, Request
-from bayeq.records.sampling import even_step
-from bayeq.records.truth import FloatArray, Truth, frozen_array
-from bayeq.records.validate import as_column, as_time, check_name, check_time, checked_units, time_from, trial_starts
+from bayeq.records.truth import Truth, frozen_array
+from bayeq.records.validate import (
+    as_column,
+    as_time,
+    check_name,
+    check_time,
+    checked_units,
+    even_step,
+    time_from,
+    trial_starts,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -58,8 +67,8 @@ class Record:
     array([0., 1., 4.])
     """
 
-    channels: Mapping[str, FloatArray]
-    time: FloatArray | None = None
+    channels: Mapping[str, Floats]
+    time: Floats | None = None
     units: Mapping[str, str] = field(default_factory=dict)
     name: str = ""
     truth: Truth | None = None
@@ -197,7 +206,7 @@ class Record:
         """The channels' names, in order."""
         return tuple(self.channels)
 
-    def __getitem__(self, channel: str) -> FloatArray:
+    def __getitem__(self, channel: str) -> Floats:
         try:
             return self.channels[channel]
         except (KeyError, TypeError):
@@ -397,7 +406,7 @@ class Record:
         return f"Record({label}{self.n} row{'s' * (self.n != 1)}{rate}; {', '.join(shown)}{more})"
 
 
-def _numbers(values: FloatArray) -> tuple[str, ...]:
+def _numbers(values: Floats) -> tuple[str, ...]:
     """Minimum, maximum, mean and standard deviation of a channel, and how many samples are missing, as text."""
     known = values[np.isfinite(values)]
     missing = str(len(values) - len(known) or "")
@@ -406,6 +415,13 @@ def _numbers(values: FloatArray) -> tuple[str, ...]:
     with np.errstate(over="ignore"):  # of squares of huge numbers
         numbers = known.min(), known.max(), known.mean(), known.std()
     return (*(f"{value:.4g}" for value in numbers), missing)
+
+
+def with_samples(record: Record, samples: Mapping[str, Any]) -> Record:
+    """The record with other samples of some channels, whose units stay; itself if there are none."""
+    if not samples:
+        return record
+    return record.with_channels(samples, {name: record.units[name] for name in samples if name in record.units})
 
 
 def with_only(record: Record, names: Iterable[str]) -> Record:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayeq.arrays import Floats, Ints
 from bayeq.errors import InputError, RecordError
-from bayeq.records.record import Record
+from bayeq.records.record import Record, with_samples
 from bayeq.records.settings import RECORDS
-from bayeq.records.truth import FloatArray
 
 # The least level of this many bands of a spectrum is taken for white noise, which is no power of the signal. In more of
 # them, shorter ones, chance makes the least too low: noise of 20 % of the signal would count as motion.
@@ -97,7 +97,7 @@ def _ends(record: Record, channels: Sequence[str]) -> tuple[list[int], str]:
     return ends.tolist(), f"half a period of {name} ({half:.3g} s)"
 
 
-def _shortest_period(times: Sequence[FloatArray], stretches: Sequence[FloatArray], step: float) -> float:
+def _shortest_period(times: Sequence[Floats], stretches: Sequence[Floats], step: float) -> float:
     """Period [s] of the frequency that 99 % of a channel's power lies below, without noise; 0 of short stretches."""
     known = [np.isfinite(samples) for samples in stretches]
     times = [time[one] for time, one in zip(times, known, strict=True) if one.any()]
@@ -137,13 +137,7 @@ def with_row_numbers(records: Sequence[Record]) -> list[Record]:
     if any(record.time is not None or "t" in record.channels or not _in_order(record) for record in records):
         return list(records)
     return [
-        Record(
-            record.channels,
-            np.arange(record.n, dtype=np.float64),
-            {**record.units, "t": SAMPLES},
-            record.name,
-            record.truth,
-        )
+        replace(record, time=np.arange(record.n, dtype=np.float64), units={**record.units, "t": SAMPLES})
         for record in records
     ]
 
@@ -217,12 +211,10 @@ def correct_delay(record: Record, channel: str, seconds: float) -> Record:
     rows = np.arange(max(0, math.ceil(-steps)), record.n - max(0, math.ceil(steps)))
     shifted = np.zeros(record.n)
     shifted[rows] = _interpolate(values, rows, steps)
-    return record.with_channels({channel: shifted}, _kept_unit(record, channel)).take(
-        slice(int(rows[0]), int(rows[-1]) + 1)
-    )
+    return with_samples(record, {channel: shifted}).take(slice(int(rows[0]), int(rows[-1]) + 1))
 
 
-def _interpolate(values: FloatArray, rows: NDArray[np.int64], steps: float) -> FloatArray:
+def _interpolate(values: Floats, rows: Ints, steps: float) -> Floats:
     """Values at `rows` + `steps`."""
     whole = math.floor(steps)
     part = steps - whole
@@ -276,8 +268,4 @@ def remove_offset(record: Record, channel: str, offset: float | None = None, dri
         if record.time is None:
             raise RecordError(f"{record.name or 'record'}: a drift is per second, and the record has no time")
         values = values - drift * (record.time - 0.5 * (record.time[0] + record.time[-1]))
-    return record.with_channels({channel: values}, _kept_unit(record, channel))
-
-
-def _kept_unit(record: Record, channel: str) -> dict[str, str]:
-    return {channel: record.units[channel]} if channel in record.units else {}
+    return with_samples(record, {channel: values})

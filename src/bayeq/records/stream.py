@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Protocol
@@ -81,11 +81,10 @@ class FileStream:
     """The record of a file."""
 
     rows: FileRows
-    request: Request = field(default_factory=Request)  # the columns that are read: all, where none is named
-    name: str = ""  # of the record
-    units: Mapping[str, str] = field(default_factory=dict)  # of columns, instead of those in the file
-    path: Path | None = None  # of the file, which has to stay in this state
-    state: FileState | None = None
+    request: Request  # the columns that are read: all, where none is named
+    name: str  # of the record
+    units: Mapping[str, str]  # of columns, instead of those in the file
+    state: FileState | None  # that the file has to stay in
 
     @property
     def bounds(self) -> Sequence[int]:
@@ -99,13 +98,7 @@ class FileStream:
         return replace(self, request=replace(self.request, columns=others, channels=kept))
 
     def read(self, start: int, stop: int) -> Record:
-        """Rows `start` to `stop` as a record.
-
-        Raises
-        ------
-        FileFormatError, RecordError, UnknownNameError
-            As `bayeq.read`; the message says between which rows.
-        """
+        """Rows `start` to `stop` as a record; errors are those of `bayeq.read`, and say between which rows."""
         request = self.request
         data = request.renamed(self._columns(start, stop))
         if data.step is not None:
@@ -132,8 +125,7 @@ class FileStream:
         try:
             columns = self.rows.read(start, stop, self.request)
         finally:
-            if self.path is not None:
-                require_unchanged(self.path, self.state)
+            require_unchanged(self.rows.path, self.state)
         for values in columns.values:
             values.setflags(write=False)
         return columns
@@ -180,10 +172,7 @@ def open_streams(
 ) -> list[FileStream]:
     """Files, and those of folders, as records that are read some rows at a time; the options are those of `bayeq.read`.
 
-    Raises
-    ------
-    FileFormatError
-        A file that is missing, or of a format of which rows cannot be read by themselves.
+    A FileFormatError names a file that is missing, or of a format of which rows cannot be read by themselves.
     """
     if any(STAR in path for path in (channels or {}).values()):
         raise InputError(f"a path with {STAR} is several records; name one of them, files are streamed one by one")
@@ -198,7 +187,7 @@ def open_streams(
                 raise FileFormatError(
                     f"{path}: {row.title} is not read some rows at a time; write it as Parquet, HDF5, NPY or text"
                 )
-            stream = FileStream(row.rows(path, request), request, path.name, dict(units or {}), path, state)
+            stream = FileStream(row.rows(path, request), request, path.name, dict(units or {}), state)
             if not stream.bounds[-1]:
                 raise FileFormatError(f"{path}: no rows")
         except OSError as error:

@@ -8,12 +8,11 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from bayeq.arrays import Floats
 
 
-def frozen_array(values: Any) -> FloatArray:
+def frozen_array(values: Any) -> Floats:
     """A read-only float64 array: the one given if it is frozen, else a copy."""
     if (
         isinstance(values, np.ndarray)
@@ -27,7 +26,7 @@ def frozen_array(values: Any) -> FloatArray:
     return array
 
 
-def _is_frozen(values: FloatArray) -> bool:
+def _is_frozen(values: Floats) -> bool:
     """Whether an array, and whatever owns its samples, is read-only and no larger; what Arrow owns never changes."""
     owner: Any = values
     while isinstance(owner, np.ndarray):
@@ -64,7 +63,7 @@ class Truth:
     system: str
     parameters: Mapping[str, float] = field(default_factory=dict)
     coefficients: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    clean: Mapping[str, FloatArray] = field(default_factory=dict)
+    clean: Mapping[str, Floats] = field(default_factory=dict)
     noise_sd: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -1,4 +1,4 @@
-"""What a record demands: names that terms can use, numbers in one dimension, time in order."""
+"""What a record demands: names that terms can use, numbers in one dimension, time in order, and even steps."""
 
 from __future__ import annotations
 
@@ -9,41 +9,35 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.arrays import Bools, Floats
 from bayeq.errors import RecordError, UnknownNameError, require_mapping
 from bayeq.expressions.parse import EARLIER
 from bayeq.records.names import clean_name
-from bayeq.records.truth import FloatArray
 
 
-def _prefix(where: str) -> str:
-    return f"{where}: " if where else ""
-
-
-def as_column(values: Any, what: str, where: str = "") -> FloatArray:
+def as_column(values: Any, what: str, where: str) -> Floats:
     """A float64 array of one dimension, or a RecordError that says what is wrong with it."""
     # numpy.ma, which takes a while to import, is asked about subclasses alone
     masked = type(values) is not np.ndarray and isinstance(values, np.ndarray) and np.ma.isMaskedArray(values)
     try:
         array = np.ma.filled(values.astype(float), np.nan) if masked else np.asarray(values)
     except ValueError as error:  # nested lists of unequal lengths
-        raise RecordError(f"{_prefix(where)}{what} is not an array of numbers: {error}") from None
+        raise RecordError(f"{where}: {what} is not an array of numbers: {error}") from None
     if array.dtype.kind == "c":
-        raise RecordError(f"{_prefix(where)}{what} is complex; give its real and imaginary parts as two channels")
+        raise RecordError(f"{where}: {what} is complex; give its real and imaginary parts as two channels")
     if array.dtype.kind not in "biuf":
-        raise RecordError(f"{_prefix(where)}{what} does not hold numbers (dtype {array.dtype})")
+        raise RecordError(f"{where}: {what} does not hold numbers (dtype {array.dtype})")
     if array.ndim != 1:
-        raise RecordError(
-            f"{_prefix(where)}{what} has shape {array.shape}; give one array of one dimension per channel"
-        )
+        raise RecordError(f"{where}: {what} has shape {array.shape}; give one array of one dimension per channel")
     return array.astype(np.float64, copy=False)
 
 
-def as_time(values: Any, where: str = "") -> FloatArray:
+def as_time(values: Any, where: str) -> Floats:
     """Time as float64; dates and durations become seconds since the first."""
     array = np.asarray(values)
     if array.dtype.kind in "mM" and array.ndim == 1 and array.size:
         missing = np.isnat(array)
-        seconds: FloatArray = (array - array[0]) / np.timedelta64(1, "s")
+        seconds: Floats = (array - array[0]) / np.timedelta64(1, "s")
         return np.where(missing, np.nan, seconds)
     return as_column(array, "time", where)
 
@@ -53,7 +47,7 @@ MOST_REPEATED = 10
 
 
 def check_time(
-    time: FloatArray, where: str = "", starts: NDArray[np.intp] | None = None, repeated: bool = False
+    time: Floats, where: str, starts: NDArray[np.intp] | None = None, repeated: bool = False
 ) -> NDArray[np.intp]:
     """Raise a RecordError, with the row counted from 1, unless time [s] is finite and strictly increasing.
 
@@ -64,7 +58,7 @@ def check_time(
     if bad.size:
         value = "missing (NaN)" if np.isnan(time[bad[0]]) else "infinite"
         raise RecordError(
-            f"{_prefix(where)}time is {value} in row {bad[0] + 1} "
+            f"{where}: time is {value} in row {bad[0] + 1} "
             f"({bad.size} such row{'s' * (bad.size > 1)}); leave these rows out"
         )
     falls = time[1:] <= time[:-1]
@@ -80,12 +74,12 @@ def check_time(
         every = again.size == len(time) - 1
         what = f"all {len(time)} times are {float(time[0])!r}" if every else f"{again.size} rows repeat the time before"
         raise RecordError(
-            f"{_prefix(where)}{what}: the clock is too coarse; give the sampling rate instead (--fs, fs=), or name"
+            f"{where}: {what}: the clock is too coarse; give the sampling rate instead (--fs, fs=), or name"
             " another column as time (--time, time=)"
         )
     row = int(rows[0])
     before, after = float(time[row]), float(time[row + 1])
-    message = f"{_prefix(where)}time must increase strictly, but goes from {before!r} to {after!r} in row {row + 2}"
+    message = f"{where}: time must increase strictly, but goes from {before!r} to {after!r} in row {row + 2}"
     if after < before and row > 0 and after - time[0] <= 0.1 * (before - time[0]):
         message += "; it restarts there: if the rows are several trials, name the column that counts them (--group)"
     elif after == before:
@@ -93,6 +87,32 @@ def check_time(
     else:
         message += "; sort the rows by time, or name another column as time"
     raise RecordError(message)
+
+
+# Steps that differ by a smaller share are the same: a sample of 6 per period is then wrong by 0.1 % of the amplitude.
+EVEN = 1e-3
+
+
+def is_step(time: Floats, step: float, tolerance: float = EVEN) -> Bools:
+    """Which steps of time are `step` to a share `tolerance`, and the rounding of the times, (n - 1,)."""
+    rounding = 4.0 * float(np.finfo(np.float64).eps) * float(np.abs(time).max(initial=0.0))
+    return np.asarray(np.abs(np.diff(time) - step) <= tolerance * step + rounding)
+
+
+def even_step(*times: Floats) -> float | None:
+    """The step of even sampling, the same in all records; None of uneven steps, or where there is no step.
+
+    Examples
+    --------
+    >>> even_step(np.array([0.0, 0.1, 0.2])), even_step(np.array([0.0, 0.1, 0.3]))
+    (0.1, None)
+    """
+    count = sum(len(time) - 1 for time in times)
+    if not count:
+        return None
+    # the mean step is less touched by the rounding of the times than any single one
+    step = sum(float(time[-1] - time[0]) for time in times) / count
+    return step if all(is_step(time, step).all() for time in times) else None
 
 
 #: How many seconds a unit of time is.
@@ -159,12 +179,12 @@ def time_from(channels: Mapping[str, Any], time: Any, fs: float | None, where: s
     if fs is None:
         return time
     if time is not None:
-        raise RecordError(f"{_prefix(where)}time and fs are both given; give one of them")
+        raise RecordError(f"{where}: time and fs are both given; give one of them")
     if not (isinstance(fs, (int, float, np.number)) and 0 < fs <= sys.float_info.max):
-        raise RecordError(f"{_prefix(where)}the sampling rate fs must be positive and finite, not {str(fs)[:40]}")
+        raise RecordError(f"{where}: the sampling rate fs must be positive and finite, not {str(fs)[:40]}")
     n = max((len(np.atleast_1d(values)) for values in channels.values()), default=0)
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         seconds = np.arange(n) / float(fs)
     if n > 1 and not (np.isfinite(seconds[-1]) and seconds[1] > 0):
-        raise RecordError(f"{_prefix(where)}a sampling rate of {fs!r} Hz is out of range for {n} rows")
+        raise RecordError(f"{where}: a sampling rate of {fs!r} Hz is out of range for {n} rows")
     return seconds

@@ -8,7 +8,7 @@ acceleration agrees with one side, and in a burst the samples around the one tha
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -19,6 +19,7 @@ from bayeq.arrays import Bools, Floats
 from bayeq.errors import InputError
 from bayeq.records import Record
 from bayeq.records.findings import clipped_levels, equal_runs
+from bayeq.records.record import with_samples
 from bayeq.states.kinematic.fit import fit_kinematic
 from bayeq.states.kinematic.model import ChainSeries, KinematicModel
 from bayeq.states.kinematic.smoother import leave_one_out, one_sided, smooth_kinematic
@@ -90,18 +91,11 @@ MOST_SPIKES = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """What channels were judged by, so that further records of the same system are judged by the same.
+    """What channels were judged by, so that further records of the same system are judged by the same."""
 
-    Attributes
-    ----------
-    models : dict of tuple of channels to KinematicModel
-        Motion and noise levels of an input, of a channel alone, and of a chain.
-    gains : dict of tuple of channels to (K+1,) array
-        Unit gains of chains.
-    """
-
+    # motion and noise levels of an input, of a channel alone, and of a chain
     models: dict[tuple[str | None, ...], KinematicModel] = field(default_factory=dict)
-    gains: dict[tuple[str | None, ...], Floats] = field(default_factory=dict)
+    gains: dict[tuple[str | None, ...], Floats] = field(default_factory=dict)  # of chains, (K+1,)
 
     def copy(self) -> Learned:
         """The same, to which others may be added."""
@@ -111,21 +105,10 @@ class Learned:
 def find_bad_samples(
     records: Sequence[Record], roles: Roles, learned: Learned | None = None
 ) -> list[dict[str, dict[str, Bools]]]:
-    """Bad samples of every channel that is used.
+    """Which samples are bad, (n,) bool: for each record of one system, channel that has some, and kind.
 
-    Parameters
-    ----------
-    records : sequence of Record
-        Of one system; NaN is a missing sample. Records without time, or of fewer than 40 rows, are not looked at.
-    roles : Roles
-        Chains and inputs.
-    learned : Learned, optional
-        What is in it is not learned again; what is learned is added.
-
-    Returns
-    -------
-    list of dict of dict
-        For each record, channel that has some, and kind: which samples are bad, (n,) bool.
+    NaN is a missing sample. Records without time, or of fewer than 40 rows, are not looked at. What is `learned`
+    already is not learned again; what is learned is added.
     """
     out: list[dict[str, dict[str, Bools]]] = [{} for _ in records]
     timed = [i for i, record in enumerate(records) if record.time is not None and record.n >= LEAST_ROWS]
@@ -148,25 +131,14 @@ def find_bad_samples(
 def without_bad_samples(
     records: Sequence[Record], roles: Roles, learned: Learned | None = None
 ) -> tuple[list[Record], list[str]]:
-    """The records with NaN in place of bad samples, and a message for each channel and kind.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        Of one system.
-    roles : Roles
-        Chains and inputs.
-    learned : Learned, optional
-        As for `find_bad_samples`.
-    """
+    """The records with NaN in place of what `find_bad_samples` finds, and a message for each channel and kind."""
     out, messages = [], []
     for record, channels in zip(records, find_bad_samples(records, roles, learned), strict=True):
         changed = {
             name: np.where(np.any(list(kinds.values()), axis=0), np.nan, record[name])
             for name, kinds in channels.items()
         }
-        units = {name: record.units[name] for name in changed if name in record.units}
-        out.append(record.with_channels(changed, units) if changed else record)
+        out.append(with_samples(record, changed))
         where = f"{record.name or 'record'}: " if len(records) > 1 else ""
         messages += [where + _message(name, kind, rows) for name, bad in channels.items() for kind, rows in bad.items()]
     return out, messages
@@ -275,28 +247,14 @@ class _Group:
             mask[:, frequent] = False
         return model
 
-    def is_constant(self, i: int) -> bool:
-        """Whether the first channel of a record has one value besides its spikes."""
-        return not np.ptp(self._without_spikes(i))
-
-    def is_noise(self, i: int) -> bool:
-        """Whether there is nothing but noise in the first channel of a record besides its spikes."""
-        values = self._without_spikes(i)
-        # of white noise steps have twice the variance
-        steps, spread = np.median(np.abs(np.diff(values))), np.median(np.abs(values - np.median(values)))
-        return bool(steps >= ONLY_NOISE * math.sqrt(2.0) * spread)
-
-    def _without_spikes(self, i: int) -> Floats:
-        values = np.asarray(self.series[i].channels[0])[~self.spikes[i][:, 0]]
-        return values[np.isfinite(values)]
-
 
 def _keep_answered(inputs: Sequence[_Group], chains: Sequence[_Group]) -> None:
     """Put back blows: spikes of an input that a chain's motion answers, and the answers of its highest derivative."""
     seen = [chain for chain in chains if chain.names[-1] is not None]
     for group in inputs:
         for i, spikes in enumerate(group.spikes):
-            blows = _blows(np.asarray(group.series[i].channels[0]))
+            values = np.asarray(group.series[i].channels[0])
+            blows, quiet = _blows(values), values[np.isfinite(values) & ~spikes[:, 0]]
             answered = np.zeros_like(blows)
             for chain in seen:
                 answer = np.asarray(chain.series[i].channels[-1])
@@ -304,11 +262,17 @@ def _keep_answered(inputs: Sequence[_Group], chains: Sequence[_Group]) -> None:
                 chain.spikes[i][_wider(blows), -1] = False
             places = _places(np.flatnonzero(spikes[:, 0]), ANSWER)
             # beside a force that a window made zero between blows there is nothing but these
-            few = len(places) < LEAST_BLOWS and not group.is_constant(i)
-            unseen = not seen and not few and group.is_noise(i)
+            few = len(places) < LEAST_BLOWS and np.ptp(quiet) > 0.0
+            unseen = not seen and not few and _is_noise(quiet)
             for place in places:
                 if unseen or answered[place].any():
                     spikes[place] = False
+
+
+def _is_noise(values: Floats) -> bool:
+    """Whether there is nothing but noise in a channel: of white noise steps have twice the variance."""
+    steps, spread = np.median(np.abs(np.diff(values))), np.median(np.abs(values - np.median(values)))
+    return bool(steps >= ONLY_NOISE * math.sqrt(2.0) * spread)
 
 
 def _places(rows: NDArray[np.intp], apart: int) -> list[NDArray[np.intp]]:
@@ -512,8 +476,7 @@ def _long_runs(series: ChainSeries) -> Bools:
         starts, lengths = equal_runs(values)
         usual = float(np.median(np.repeat(lengths, lengths)))
         long = (lengths >= max(LEAST_STUCK, TIMES_USUAL * usual)) & np.isfinite(values[starts])
-        for start, length in zip(starts[long], lengths[long], strict=True):
-            out[start : start + length, k] = True
+        out[:, k] = np.repeat(long, lengths)
     return out
 
 
@@ -529,8 +492,9 @@ def _stuck(series: ChainSeries, runs: Bools, calm: ChainSeries, model: Kinematic
         values, sd, others = samples[:, k], float(model.noise_sd[k] or 0.0), [j for j in measured if j != k]
         steps = np.abs(np.diff(values))
         usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], runs[:, k].astype(np.int8), [0]])))
-        for first, last in _parts(values, edges):
+        starts, lengths = equal_runs(values)
+        long = runs[starts, k]
+        for first, last in zip(starts[long], (starts + lengths)[long], strict=True):
             rows = slice(first, last)
             judged = np.isfinite(seen[rows][:, others]).any(axis=1) if others else np.zeros(0, dtype=np.bool_)
             if judged.sum() >= LEAST_STUCK:
@@ -540,13 +504,6 @@ def _stuck(series: ChainSeries, runs: Bools, calm: ChainSeries, model: Kinematic
                 stops = abs(values[first] - values[first - 1]) <= JUMP * usual
                 out[rows, k] = stops and abs(values[last] - values[last - 1]) > JUMP * usual
     return out
-
-
-def _parts(values: Floats, edges: NDArray[np.intp]) -> Iterator[tuple[int, int]]:
-    """First rows and ends of stretches of one value each."""
-    for first, last in edges.reshape(-1, 2):
-        cuts = first + 1 + np.flatnonzero(np.diff(values[first:last]))
-        yield from zip([int(first), *cuts.tolist()], [*cuts.tolist(), int(last)], strict=True)
 
 
 def _clipped(series: ChainSeries) -> Bools:

@@ -13,7 +13,8 @@ import numpy as np
 from bayeq.arrays import Floats
 from bayeq.errors import RecordError
 from bayeq.records import Record
-from bayeq.records.sampling import even_step
+from bayeq.records.record import with_only, with_samples
+from bayeq.records.validate import even_step
 from bayeq.states.prepare import on_grid
 from bayeq.states.settings import STATES
 
@@ -36,26 +37,10 @@ TURNS = 40
 def without_hum(
     records: Sequence[Record], names: Sequence[str], low: float, high: float
 ) -> tuple[list[Record], list[str]]:
-    """Records without the lines that stand out of the spectra of channels above a frequency.
+    """Some channels of records without the lines that stand out of their spectra above what is believed, and a message.
 
-    Parameters
-    ----------
-    records : sequence of Record
-        With time; NaN where a sample is missing.
-    names : sequence of str
-        The channels that are wanted.
-    low, high : float
-        Frequencies that are believed [Hz].
-
-    Returns
-    -------
-    list of Record, list of str
-        And a message, if there were lines.
-
-    Raises
-    ------
-    RecordError
-        Records that are not sampled evenly, or slower than the band.
+    `low` and `high` are frequencies [Hz], NaN a missing sample. A RecordError says that a record is not sampled evenly,
+    or slower than the band.
     """
     found, heard = [], set[float]()
     for record in records:
@@ -73,8 +58,7 @@ def without_hum(
         values = np.column_stack([np.asarray(even[name], dtype=np.float64) for name in names])
         values, lines = _without_lines(values, high / fs)
         heard.update(round(fs * line, 2) for line in lines)
-        units = {name: unit for name, unit in even.units.items() if name in names or name == "t"}
-        found.append(Record(dict(zip(names, values.T, strict=True)), even.time, units, even.name))
+        found.append(with_samples(with_only(even, names), dict(zip(names, values.T, strict=True))))
     some = sorted(heard)[:SHOWN]
     listed = ", ".join(f"{line:g}" for line in some) + (f" and {len(heard) - SHOWN} more" if len(heard) > SHOWN else "")
     return found, [f"hum above the band was taken out of all channels, at {listed} Hz"] if heard else []

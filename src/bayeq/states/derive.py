@@ -32,21 +32,8 @@ LONGEST_STEP = 1e20
 def derive_states(record: Record, chains: Sequence[Chain], inputs: Sequence[str] = ()) -> dict[str, Floats]:
     """States, targets and inputs of a record by name, each (n,).
 
-    Parameters
-    ----------
-    record : Record
-        Measured channels.
-    chains : sequence of Chain
-        Coordinates and their derivatives.
-    inputs : sequence of str
-        Channels of forces or other inputs.
-
-    Raises
-    ------
-    UnknownNameError
-        A channel that the record does not have.
-    RecordError
-        NaN or infinite samples, no time where derivatives are needed, or too few rows.
+    Raises an UnknownNameError for a channel that the record does not have; a ChainError for one that plays two parts; a
+    RecordError for NaN or infinite samples, no time where derivatives are needed, or too few rows.
     """
     measured = [m for chain in chains for m in chain.measured if m is not None]
     wanted = [*measured, *inputs]
@@ -71,13 +58,7 @@ def derive_states(record: Record, chains: Sequence[Chain], inputs: Sequence[str]
 
 
 def current(smooth: str) -> Smooth:
-    """How motion is smoothed, by the names of today.
-
-    Raises
-    ------
-    InputError
-        None of these.
-    """
+    """How motion is smoothed, by the names of today; an InputError if it is none of these."""
     if smooth not in get_args(Smooth):
         raise InputError(f"smooth must be one of {', '.join(get_args(Smooth))}, got {smooth!r}")
     if smooth != "band":
@@ -101,15 +82,8 @@ def usable(values: Floats) -> bool:
 def require_varying(records: Sequence[Record], names: Sequence[str]) -> None:
     """Raise unless each channel varies, though not in every record: in a free decay the force is zero throughout.
 
-    Missing samples, NaN, are passed over.
-
-    Raises
-    ------
-    RecordError
-        A channel that is the same in all rows of all records, varies by too little to have a square, or lies too far
-        from zero.
-    UnknownNameError
-        A channel that a record does not have.
+    Missing samples, NaN, are passed over. A RecordError names a channel that is the same in all rows of all records,
+    varies by too little to have a square, or lies too far from zero; an UnknownNameError one that a record lacks.
     """
     where = (records[0].name or "record") if len(records) == 1 else f"{len(records)} records"
     rows = sum(record.n for record in records)
@@ -139,13 +113,7 @@ def require_varying(records: Sequence[Record], names: Sequence[str]) -> None:
 
 
 def require_steps(records: Sequence[Record]) -> None:
-    """Raise unless the steps of time have powers in floating point.
-
-    Raises
-    ------
-    RecordError
-        Steps that are too long or too short to divide by.
-    """
+    """Raise a RecordError unless the steps of time have powers in floating point, and can be divided by."""
     for record in records:
         step = record.dt
         if step is not None and not 1 / LONGEST_STEP <= step <= LONGEST_STEP:

@@ -42,21 +42,10 @@ DIFFERENCES = 8
 def measured_apart(
     records: Sequence[Record], chains: Sequence[Chain], share: float = 0.0
 ) -> tuple[tuple[Chain, ...], list[str]]:
-    """The chains without channels that were computed from a lower one.
+    """The chains without channels that were computed from a lower one, and a message for each chain that has some.
 
-    Parameters
-    ----------
-    records : sequence of Record
-        Of one system.
-    chains : sequence of Chain
-        Coordinates and their derivatives.
-    share : float
-        Of the rows, the last of each record, that noise levels are not learned from.
-
-    Returns
-    -------
-    tuple of Chain, list of str
-        Such channels keep their names and are to be estimated; and a message for each chain that has some.
+    Such channels keep their names and are to be estimated. Noise levels are not learned from a `share` of the rows, the
+    last of each record.
     """
     out, messages = [], []
     for chain in chains:

@@ -23,21 +23,10 @@ SUBSTEPS = 4
 
 
 def with_laws(laws: str | Sequence[str], roles: Roles) -> Roles:
-    """The roles with a hidden state for each stated law.
+    """The roles with a hidden state for each stated law, such as ``"df = (u - f)/{tau}"``.
 
-    Parameters
-    ----------
-    laws : str or sequence of str
-        Such as ``"df = (u - f)/{tau}"``.
-    roles : Roles
-        Chains and inputs that are measured.
-
-    Raises
-    ------
-    ChainError
-        Not of this form, or of a state that has an equation already.
-    ExpressionError, UnknownNameError
-        A right-hand side that is no expression of channels and states.
+    A ChainError refuses a law that is not of this form, or of a state that has an equation already; an ExpressionError
+    or UnknownNameError a right-hand side that is no expression of channels and states.
 
     Examples
     --------
@@ -68,10 +57,7 @@ def _sides(text: str) -> tuple[str, str]:
 
 
 def require_laws(roles: Roles) -> None:
-    """Refuse hidden states without a law.
-
-    ChainError: there is one.
-    """
+    """Refuse hidden states without a law, by a ChainError."""
     for chain in roles.hidden:
         if chain.law is None:
             name = chain.names[0]
@@ -79,21 +65,9 @@ def require_laws(roles: Roles) -> None:
 
 
 def hidden_columns(roles: Roles, columns: Mapping[str, Floats], time: Floats | None) -> dict[str, Floats]:
-    """Hidden states along a record, and their rates.
+    """Hidden states along a record, and their rates, (n,) each; an InputError where they are not finite.
 
-    Parameters
-    ----------
-    roles : Roles
-        With laws.
-    columns : mapping of str to (n,) array
-        Everything else that the laws are functions of.
-    time : (n,) array
-        [s].
-
-    Raises
-    ------
-    InputError
-        They are not finite.
+    `columns` have everything else that the laws are functions of, `time` is in seconds.
     """
     states = [chain.names[0] for chain in roles.hidden]
     laws = [chain.law for chain in roles.hidden if chain.law is not None]

@@ -24,12 +24,8 @@ AROUND = (2, 1, -1, -2)
 def in_samples(record: Record, roles: Roles) -> Record:
     """The record with the number of the sample as time, and with earlier samples of inputs as channels of their own.
 
-    The first of them, before the record, are taken to be like the first one of the input.
-
-    Raises
-    ------
-    RecordError
-        Uneven steps of time.
+    The first of them, before the record, are taken to be like the first one of the input. A RecordError refuses uneven
+    steps of time.
     """
     time = np.arange(record.n, dtype=np.float64)
     if record.time is not None and record.n > 2:

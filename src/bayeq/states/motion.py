@@ -17,9 +17,8 @@ from bayeq.records import Record, counts_rows
 from bayeq.states.derive import Smooth, derive_states, require_usable
 from bayeq.states.hidden import hidden_columns, hidden_rates
 from bayeq.states.kinematic.chain_smoother import ChainSmoothing, smooth_chain, smooth_further
-from bayeq.states.lags import without_lags
 from bayeq.states.maps import likened, moved
-from bayeq.states.prepare import bridged_record, complete_rows, filled_in, has_all, on_grid
+from bayeq.states.prepare import bridged_record, complete_rows, filled_in, has_all, on_grid, without_lags
 from bayeq.states.roles import NEXT, Chain, Roles
 from bayeq.states.sensors import Sensors
 from bayeq.states.settings import STATES
@@ -28,31 +27,16 @@ from bayeq.states.unit_gains import bridged, unit_gains
 
 @dataclass(frozen=True, eq=False)
 class MotionRows:
-    """Consecutive rows of one record.
+    """Consecutive rows of one record; arrays are (n,)."""
 
-    Attributes
-    ----------
-    name : str
-        Of the record.
-    time : (n,) array or None
-        [s].
-    columns : mapping of str to (n,) array
-        What regressions are made of: states and targets (smoothed, where they were) and inputs, missing ones bridged,
-        and t where terms use it.
-    observed : mapping of str to (n,) array
-        What equations are judged by: each target as it was measured, as in `columns` where it was not.
-    samples : mapping of str to (n,) array
-        Measured channels of the chains, and inputs; NaN where a sample is missing.
-    known : (n,) bool array
-        Rows with a sample of every channel. The others are bridged.
-    """
-
-    name: str
-    time: Floats | None
+    name: str  # of the record
+    time: Floats | None  # [s]
+    # what regressions are made of: states and targets (smoothed, where they were) and inputs, missing ones bridged, and
+    # t where terms use it
     columns: Mapping[str, Floats]
-    observed: Mapping[str, Floats]
-    samples: Mapping[str, Floats]
-    known: Bools
+    observed: Mapping[str, Floats]  # what equations are judged by: targets as measured, or else as in `columns`
+    samples: Mapping[str, Floats]  # measured channels of the chains, and inputs; NaN where a sample is missing
+    known: Bools  # rows with a sample of every channel; the others are bridged
 
     @property
     def n(self) -> int:
@@ -78,42 +62,20 @@ class MotionRows:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """States, targets and inputs of records of one system.
-
-    Attributes
-    ----------
-    roles : Roles
-        Chains and inputs.
-    records : tuple of MotionRows
-        All rows of each record.
-    cuts : tuple of int
-        The first row of each record that is held out; its number of rows if none is.
-    smoothing : tuple of ChainSmoothing
-        How the kinematic smoother went over each chain that is measured; empty if it did not.
-    unit_gains : tuple of (K+1,) arrays
-        Of each chain, see `bayeq.states.unit_gains`.
-    holdout : float
-        Share of the rows of each record, the last, that is held out.
-    sensors : Sensors
-        What is known of the channels.
-    band : (float, float) or None
-        Frequencies [Hz] in which the records are believed.
-    courses : mapping of str to str
-        How inputs go between their samples, as the likelihood found it, where that is not smooth.
-    noise_sd : mapping of str to float
-        Standard deviation of the noise of channels, in their units, as the likelihood found it.
-    """
+    """States, targets and inputs of records of one system."""
 
     roles: Roles
-    records: tuple[MotionRows, ...]
-    cuts: tuple[int, ...]
-    smoothing: tuple[ChainSmoothing, ...]
-    unit_gains: tuple[Floats, ...]
-    holdout: float
-    sensors: Sensors = field(default_factory=Sensors)
-    band: tuple[float, float] | None = None
-    courses: Mapping[str, Interpolation] = field(default_factory=dict)
-    noise_sd: Mapping[str, float] = field(default_factory=dict)
+    records: tuple[MotionRows, ...]  # all rows of each
+    cuts: tuple[int, ...]  # the first row of each record that is held out; its number of rows if none is
+    smoothing: tuple[ChainSmoothing, ...]  # how the smoother went over each measured chain; empty if it did not
+    unit_gains: tuple[Floats, ...]  # of each chain, (K+1,), see `bayeq.states.unit_gains`
+    holdout: float  # share of the rows of each record, the last, that is held out
+    sensors: Sensors = field(default_factory=Sensors)  # what is known of the channels
+    band: tuple[float, float] | None = None  # frequencies [Hz] in which the records are believed
+    courses: Mapping[str, Interpolation] = field(
+        default_factory=dict
+    )  # how inputs go between samples, where not smooth
+    noise_sd: Mapping[str, float] = field(default_factory=dict)  # of channels, in their units, by the likelihood
 
     @cached_property
     def train(self) -> tuple[MotionRows, ...]:
@@ -186,27 +148,10 @@ def estimate_motion(
     that were dropped from a uniform grid, or are missing (NaN), are bridged: the states then have a row for each. Where
     nothing is smoothed, rows with a missing sample are left out; with "none" they are an error. Less than 10 rows in
     all are differentiated as they are. Records without time are left to `derive_states`, whose errors are those of this
-    function. Noise levels are learned from the training rows; the rows held out are smoothed apart.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        Measured channels.
-    roles : Roles
-        Chains and inputs.
-    smooth : "auto", "band" or "none"
-        How derivatives that are not measured are estimated.
-    share : float
-        Of the rows, the last of each record, to hold out.
-    sensors : Sensors, optional
-        Noise levels that are known are not learned; lags are taken out.
-    band : (float, float), optional
-        Frequencies [Hz] in which the records are believed.
-
-    Raises
-    ------
-    UnknownNameError, RecordError, ChainError
-        Channels that are missing or cannot be used.
+    function. Noise levels are learned from the training rows; the rows held out, the last `share` of each record, are
+    smoothed apart. Noise levels that `sensors` know are not learned; lags are taken out. In `band`, frequencies [Hz],
+    records are believed. An UnknownNameError, RecordError or ChainError names channels that are missing or cannot be
+    used.
     """
     whole, sensors = smooth == "none", sensors or Sensors()
     if roles.hidden:
@@ -216,7 +161,7 @@ def estimate_motion(
         cuts = tuple(cut_at(rows.n, share) for rows in pieces)
         gains = tuple(np.ones(chain.order + 1) for chain in roles.chains)
         return Motion(roles, pieces, cuts, (), gains, share, sensors, band)
-    records = [without_lags(record, sensors.lags) for record in records] if sensors.lags else records
+    records = [without_lags(record, sensors.lags) for record in records]
     if all(record.time is not None for record in records) and sum(record.n for record in records) < STATES.few_rows:
         smooth = "none"
         records = records if whole else [complete_rows(record, roles) for record in records]
@@ -224,30 +169,21 @@ def estimate_motion(
     smoothing: tuple[ChainSmoothing, ...] = ()
     if smoothed is None:
         records = records if whole else [complete_rows(record, roles) for record in records]
-        pieces = tuple(_as_measured(record, roles) for record in records)
-        cuts = tuple(cut_at(rows.n, share) for rows in pieces)
+        pieces = tuple(_rows(one, roles, derive_states(one, roles.chains, roles.inputs)) for one in records)
         even = [on_grid(record, roles.measured) for record in records]
         gains = tuple(unit_gains(even, chain, [cut_at(record.n, share) for record in even]) for chain in roles.chains)
     else:
-        pieces, cuts, smoothing = smoothed
+        pieces, smoothing = smoothed
         gains = tuple(one.unit_gains for one in smoothing)
+    cuts = tuple(cut_at(rows.n, share) for rows in pieces)
     return Motion(roles, pieces, cuts, smoothing, gains, share, sensors, band)
 
 
 def with_hidden(motion: Motion, roles: Roles) -> Motion:
-    """The motion with hidden states: their laws integrated along each record.
+    """The motion, with time, with hidden states: their laws integrated along each record.
 
-    Parameters
-    ----------
-    motion : Motion
-        With time.
-    roles : Roles
-        Those of the motion, and hidden states whose laws have values of all constants.
-
-    Raises
-    ------
-    InputError
-        Laws that are not finite along a record.
+    `roles` are those of the motion, and hidden states whose laws have values of all constants. An InputError names laws
+    that are not finite along a record.
     """
     records = tuple(_with_columns(rows, hidden_columns(roles, rows.columns, rows.time)) for rows in motion.records)
     gains = motion.unit_gains[: len(roles.chains) - len(roles.hidden)]
@@ -272,7 +208,7 @@ def further_rows(record: Record, motion: Motion) -> MotionRows:
     roles = motion.roles
     filled = on_grid(record, roles.channels)
     chains = zip(roles.chains, motion.smoothing, strict=True)
-    return _rows(filled, roles, [smooth_further(filled, chain, smoothing) for chain, smoothing in chains])
+    return _smoothed_rows(filled, roles, [smooth_further(filled, chain, smoothing) for chain, smoothing in chains])
 
 
 def _of_map(record: Record, roles: Roles) -> MotionRows:
@@ -299,18 +235,9 @@ def _of_map(record: Record, roles: Roles) -> MotionRows:
     return MotionRows(record.name, record.time, columns, observed, samples, known)
 
 
-def _as_measured(record: Record, roles: Roles) -> MotionRows:
-    """States and targets as measured, missing derivatives by differences."""
-    columns = derive_states(record, roles.chains, roles.inputs)
-    samples = {name: np.asarray(record[name]) for name in roles.channels}
-    observed = {target: columns[target] for target in roles.targets}
-    columns = {**columns, **_time(record, roles)}
-    return MotionRows(record.name, record.time, columns, observed, samples, np.ones(record.n, dtype=np.bool_))
-
-
 def _smoothed(
     records: Sequence[Record], roles: Roles, smooth: Smooth, share: float, sensors: Sensors
-) -> tuple[tuple[MotionRows, ...], tuple[int, ...], tuple[ChainSmoothing, ...]] | None:
+) -> tuple[tuple[MotionRows, ...], tuple[ChainSmoothing, ...]] | None:
     """Rows by the kinematic smoother; None where records are taken as measured."""
     timed = all(record.time is not None for record in records)
     wanted = timed and smooth != "none"
@@ -325,28 +252,33 @@ def _smoothed(
     if not wanted:
         return None
     filled = [on_grid(record, roles.channels) for record in records]
-    cuts = tuple(cut_at(record.n, share) for record in filled)
+    cuts = [cut_at(record.n, share) for record in filled]
     try:
         found = [smooth_chain(filled, chain, cuts, sensors.noise) for chain in roles.chains]
     except RecordError:
         if integrated:  # which only the smoother can do
             raise
         return None
-    rows = tuple(_rows(record, roles, [means[i] for means, _ in found]) for i, record in enumerate(filled))
-    return rows, cuts, tuple(smoothing for _, smoothing in found)
+    pieces = (_smoothed_rows(record, roles, [means[i] for means, _ in found]) for i, record in enumerate(filled))
+    return tuple(pieces), tuple(smoothing for _, smoothing in found)
 
 
-def _rows(record: Record, roles: Roles, means: Sequence[Floats]) -> MotionRows:
+def _smoothed_rows(record: Record, roles: Roles, means: Sequence[Floats]) -> MotionRows:
     """Rows of a record on its grid with the smoothed derivatives (n, K + 1) of each chain."""
-    samples = {name: np.asarray(record[name]) for name in roles.channels}
     assert record.time is not None
-    columns = {name: filled_in(np.asarray(record.time), samples[name]) for name in roles.inputs}
+    columns = {name: filled_in(record.time, record[name]) for name in roles.inputs}
     for chain, values in zip(roles.chains, means, strict=True):
         if chain.static:  # no motion: it may jump
-            columns[chain.target] = filled_in(np.asarray(record.time), samples[chain.target])
+            columns[chain.target] = filled_in(record.time, record[chain.target])
             continue
         columns.update((name, np.ascontiguousarray(own)) for name, own in zip(chain.names, values.T, strict=True))
-    columns.update(_time(record, roles))
+    return _rows(record, roles, columns)
+
+
+def _rows(record: Record, roles: Roles, columns: Mapping[str, Floats]) -> MotionRows:
+    """Rows of a record whose states, targets and inputs are known."""
+    samples = {name: np.asarray(record[name]) for name in roles.channels}
+    columns = {**columns, **_time(record, roles)}
     observed = {
         target: np.where(np.isnan(samples[target]), columns[target], samples[target])
         if target in samples

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from bayeq.arrays import Bools, Floats, Ints
 from bayeq.errors import InputError, RecordError
-from bayeq.records import Record, split_at_gaps
-from bayeq.records.sampling import is_step
+from bayeq.records import Record, correct_delay, split_at_gaps
+from bayeq.records.findings import equal_runs
+from bayeq.records.record import with_samples
 from bayeq.records.settings import RECORDS
+from bayeq.records.validate import is_step
 from bayeq.states.bad_samples import Learned, listed, without_bad_samples
 from bayeq.states.derive import LARGEST, Smooth, require_usable
 from bayeq.states.kinematic.fit import fit_kinematic
 from bayeq.states.kinematic.model import ChainSeries
 from bayeq.states.kinematic.smoother import smooth_kinematic
 from bayeq.states.roles import Roles
+from bayeq.states.sensors import Lag
 from bayeq.states.unit_gains import bridged
 
 # Fewer rows with all channels are no record.
@@ -44,28 +47,11 @@ SINGLE = (0.5, 1.5)
 def cleaned(
     records: Sequence[Record], roles: Roles, smooth: Smooth, learned: Learned | None = None
 ) -> tuple[list[Record], list[str]]:
-    """The records, row by row, with NaN in place of bad samples; with "none" as they are.
+    """The records of one system, row by row, with NaN in place of bad samples; with "none" as they are.
 
-    Parameters
-    ----------
-    records : sequence of Record
-        Of one system.
-    roles : Roles
-        Chains and inputs.
-    smooth : "auto", "band" or "none"
-        As `discover` takes it.
-    learned : Learned, optional
-        By what bad samples are judged, of other records of the system; what is missing there is added.
-
-    Returns
-    -------
-    list of Record, list of str
-        The records, and a message for each channel of which samples are missing or left out.
-
-    Raises
-    ------
-    UnknownNameError, RecordError
-        Channels that are missing, or of which most samples are infinite or too large to square.
+    And a message for each channel of which samples are missing or left out. Bad samples are judged by what was
+    `learned` of other records of the system; what is missing there is added. An UnknownNameError or RecordError names
+    channels that are missing, or of which most samples are infinite or too large to square.
     """
     if smooth == "none":
         return list(records), []
@@ -88,15 +74,11 @@ def _without_impossible(records: Sequence[Record], roles: Roles) -> tuple[list[R
         for name in roles.channels:
             values = record[name]
             bad = np.abs(values) > LARGEST  # not so of NaN
-            if 0 < (count := int(bad.sum())) < 0.5 * np.isfinite(values).sum():
+            if 0 < bad.sum() < 0.5 * np.isfinite(values).sum():
                 changed[name] = np.where(bad, np.nan, values)
-                samples = "1 sample is" if count == 1 else f"{count} samples are"
-                messages.append(
-                    f"{where}{name}: {samples} infinite or beyond {LARGEST:g} ({listed(bad)}): taken as missing; check"
-                    " the acquisition"
-                )
-        units = {name: record.units[name] for name in changed if name in record.units}
-        out.append(record.with_channels(changed, units) if changed else record)
+                what = f"infinite or beyond {LARGEST:g} ({listed(bad)}): taken as missing"
+                messages.append(f"{where}{name}: {_samples_are(bad)} {what}; check the acquisition")
+        out.append(with_samples(record, changed))
     return out, messages
 
 
@@ -117,12 +99,15 @@ def missing_messages(records: Sequence[Record], roles: Roles) -> list[str]:
         where = f"{record.name or 'record'}: " if len(records) > 1 else ""
         for name in roles.channels:
             rows = np.isnan(record[name])
-            count = int(rows.sum())
-            if count:
-                samples = "1 sample is" if count == 1 else f"{count} samples are"
-                share = f"{100 * count / record.n:.2g} %"
-                out.append(f"{where}{name}: {samples} missing ({listed(rows)}: {share}); check the acquisition")
+            if rows.any():
+                what = f"missing ({listed(rows)}: {100 * rows.sum() / record.n:.2g} %)"
+                out.append(f"{where}{name}: {_samples_are(rows)} {what}; check the acquisition")
     return out
+
+
+def _samples_are(rows: Bools) -> str:
+    count = int(rows.sum())
+    return "1 sample is" if count == 1 else f"{count} samples are"
 
 
 def has_all(record: Record, roles: Roles) -> Bools:
@@ -166,11 +151,8 @@ def without_empty_rows(records: Sequence[Record], roles: Roles) -> list[Record]:
 
 def _long(missing: Bools) -> Bools:
     """Stretches of more than two."""
-    out = np.zeros_like(missing)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], missing.astype(np.int8), [0]]))).reshape(-1, 2)
-    for first, last in edges:
-        out[first:last] = last - first > SHORT
-    return out
+    starts, lengths = equal_runs(missing)
+    return np.repeat(missing[starts] & (lengths > SHORT), lengths)
 
 
 def bridged_record(record: Record, roles: Roles, most: float = 1.0) -> Record:
@@ -182,18 +164,14 @@ def bridged_record(record: Record, roles: Roles, most: float = 1.0) -> Record:
         and 0.0 < float(np.isnan(values := record[name]).mean()) <= most
         and not np.isinf(values).any()
     }
-    if not changed:
-        return record
-    return record.with_channels(changed, {name: record.units[name] for name in changed if name in record.units})
+    return with_samples(record, changed)
 
 
 def inputs_filled(record: Record, inputs: Sequence[str]) -> Record:
     """The record with missing samples of inputs filled in, of which a free run needs every one.
 
-    Raises
-    ------
-    RecordError
-        A gap longer than half the shortest period, at which `discover` would divide the record, or at an end.
+    A RecordError refuses a gap longer than half the shortest period, at which `discover` would divide the record, or at
+    an end.
     """
     lacking = [name for name in inputs if np.isnan(record[name]).any()]
     if not lacking or record.time is None:
@@ -205,8 +183,7 @@ def inputs_filled(record: Record, inputs: Sequence[str]) -> Record:
             f" ({listed(gaps)} of those that are run over); run over rows before or after (start, rows)"
         )
     time = np.asarray(record.time)
-    changed = {name: filled_in(time, np.asarray(record[name])) for name in lacking}
-    return record.with_channels(changed, {name: record.units[name] for name in lacking if name in record.units})
+    return with_samples(record, {name: filled_in(time, np.asarray(record[name])) for name in lacking})
 
 
 def on_grid(record: Record, names: Sequence[str]) -> Record:
@@ -238,6 +215,30 @@ def on_grid(record: Record, names: Sequence[str]) -> Record:
     return Record(channels=channels, time=grid, units=units, name=record.name)
 
 
+def without_lags(record: Record, lags: Mapping[str, Lag], whole: bool = False) -> Record:
+    """The record with the lags of some channels taken out, by band-limited interpolation, which keeps noise white.
+
+    Rows at an end of which a channel then has no sample lack it; with `whole` they repeat the nearest one. A
+    RecordError says that time is uneven, but for rows that are missing, or a lag as long as the record.
+    """
+    lags = {name: lag for name, lag in lags.items() if name in record.channels and lag.value != 0.0}
+    if not lags:
+        return record
+    record = on_grid(record, list(record.channels))
+    changed = {}
+    for name, lag in lags.items():
+        samples = record[name]
+        moved = correct_delay(record.with_channels({name: bridged(samples)}), name, lag.value)
+        assert record.time is not None
+        assert moved.time is not None
+        first = int(np.searchsorted(record.time, moved.time[0]))
+        values = np.full(record.n, np.nan)
+        values[first : first + moved.n] = moved[name]
+        lacking = np.interp(record.time + lag.value, record.time, np.isnan(samples)) > 0.0
+        changed[name] = bridged(values) if whole else np.where(lacking, np.nan, values)
+    return with_samples(record, changed)
+
+
 def filled_in(time: Floats, samples: Floats) -> Floats:
     """Samples with missing ones interpolated; a spline through noisy samples would overshoot in a gap."""
     if np.isfinite(samples).all():
@@ -253,12 +254,6 @@ def filled_in(time: Floats, samples: Floats) -> Floats:
 
 def fitted_grid(time: Floats) -> tuple[Ints, float, float]:
     """Number of each sample on a grid that begins with the first, and its begin and step."""
-    index = _places(time)
-    return index, *_fitted(time, index)
-
-
-def _places(time: Floats) -> Ints:
-    """Number of each sample on a grid that begins with the first."""
     steps = np.diff(time)
     median = float(np.median(steps))
     single = steps[(steps > SINGLE[0] * median) & (steps < SINGLE[1] * median)]
@@ -266,7 +261,8 @@ def _places(time: Floats) -> Ints:
     # once more with the grid of all samples, which a long gap asks for
     start, step = _fitted(time, index)
     again = np.round((time - start) / step).astype(np.int64)
-    return again - again[0]
+    index = again - again[0]
+    return index, *_fitted(time, index)
 
 
 def _fitted(time: Floats, index: Ints) -> tuple[float, float]:

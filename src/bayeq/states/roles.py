@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import keyword
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from bayeq.errors import ChainError, InputError, require_text, require_texts
@@ -38,15 +38,6 @@ COORDINATE = "x"
 class Chain:
     """A coordinate and its derivatives up to `order`.
 
-    Parameters
-    ----------
-    measured : tuple of (str or None)
-        The channel that measures each derivative, from order 0 up; None where none does, at least one.
-    called : tuple of (str or None), optional
-        Names of derivatives that are not measured, where they have one of their own.
-    law : Expression, optional
-        Rate of a hidden state, which no channel measures: stated, with constants that may be unknown.
-
     Examples
     --------
     >>> chain = parse_chain("x:v:")
@@ -70,9 +61,9 @@ class Chain:
     (('x[-1]', 'x', 'x[+1]'), '~x[-1]:x:~x[+1]')
     """
 
-    measured: tuple[str | None, ...]
-    called: tuple[str | None, ...] = ()
-    law: Expression | None = None
+    measured: tuple[str | None, ...]  # the channel that measures each derivative, from order 0 up; None where none does
+    called: tuple[str | None, ...] = ()  # names of derivatives that are not measured, where they have one of their own
+    law: Expression | None = None  # stated rate of a hidden state, with constants that may be unknown
 
     def with_law(self, law: Expression) -> Chain:
         """The chain with another law."""
@@ -147,12 +138,7 @@ def parse_chain(text: str) -> Chain:
     ``x:xdot`` (first order).
 
     ``x:~v:~a`` is ``x::`` with names for what is not measured, instead of dx and ddx; ``~q::a`` is ``::a`` with the
-    coordinate q instead of x. ``=F`` is the target of a static law.
-
-    Raises
-    ------
-    ChainError
-        Not of this form.
+    coordinate q instead of x. ``=F`` is the target of a static law. A ChainError refuses what is not of this form.
     """
     form = (
         "write it as x:v:a (second order), x:: (only x measured; x:~v:~a to name what is estimated), ::a (only a), x"
@@ -243,15 +229,6 @@ def _named_by_channel(chain: Chain) -> Chain:
 class Roles:
     """Chains and inputs of a system.
 
-    Parameters
-    ----------
-    chains : tuple of Chain
-        One per equation.
-    inputs : tuple of str
-        Channels of forces and other inputs.
-    timed : bool
-        Whether terms may use t, the time [s].
-
     Examples
     --------
     >>> roles = Roles.parse(displacement="x", velocity="v", acceleration="a", force="u")
@@ -259,9 +236,9 @@ class Roles:
     (('a',), ('x', 'v'), ('u',))
     """
 
-    chains: tuple[Chain, ...]
-    inputs: tuple[str, ...] = ()
-    timed: bool = False
+    chains: tuple[Chain, ...]  # one per equation
+    inputs: tuple[str, ...] = ()  # channels of forces and other inputs
+    timed: bool = False  # whether terms may use t, the time [s]
 
     @classmethod
     def parse(
@@ -277,16 +254,12 @@ class Roles:
     ) -> Roles:
         """Read the roles as a user writes them; where they are `discrete` each chain is a channel of a map.
 
-        Raises
-        ------
-        ChainError
-            No coordinate or target, chains beside single channels, or text that is not a chain.
-        InputError
-            An input that is named twice.
+        A ChainError refuses no coordinate or target, chains beside single channels, and text that is not a chain; an
+        InputError an input that is named twice.
         """
-        for role, channel in (("displacement", displacement), ("velocity", velocity), ("acceleration", acceleration)):
+        single = {"displacement": displacement, "velocity": velocity, "acceleration": acceleration}
+        for role, channel in (*single.items(), ("force", force)):
             require_text(channel, role, optional=True)
-        require_text(force, "force", optional=True)
         require_texts(inputs, "inputs")
         if chains is not None:
             require_texts(chains, "chains")
@@ -296,15 +269,11 @@ class Roles:
         if len(set(named)) < len(named):
             raise InputError(f"an input is named twice: {', '.join(named)}")
         static = _static(target, named)
-        single = displacement is not None or velocity is not None or acceleration is not None
-        if chains is None and (single or not static):
-            parsed = _oscillator(displacement, velocity, acceleration, named)
-            parsed = parse_chains([*map(str, parsed), *static], named) if static else parsed
-        elif displacement or velocity or acceleration:
+        if chains is None and (any(name is not None for name in single.values()) or not static):
+            chains = _oscillator(single)
+        elif any(single.values()):
             raise ChainError("give either chains or displacement, velocity and acceleration, not both")
-        else:
-            given = [chains] if isinstance(chains, str) else list(chains or ())
-            parsed = parse_chains([*given, *static], named)
+        parsed = parse_chains([*([chains] if isinstance(chains, str) else chains or ()), *static], named)
         if not named and all(chain.static for chain in parsed):
             raise ChainError(
                 f"{parsed[0].target!r} is to follow from nothing: name the channels that it is a function of (inputs=,"
@@ -314,17 +283,14 @@ class Roles:
         for name in named:
             if name in roles.measured:
                 raise ChainError(f"channel {name!r} is both an input and part of a chain")
-        return roles.of_maps if discrete else roles
-
-    @property
-    def of_maps(self) -> Roles:
-        """The same channels, with equations for their next samples."""
-        for chain in self.chains:
+        if not discrete:
+            return roles
+        for chain in parsed:
             if chain.order != 1 or chain.measured[1] is not None or chain.called:
                 raise ChainError(
                     f"chain {str(chain)!r}: a map is of single channels, each a chain: --chain x, chains='x'"
                 )
-        return self.with_chains([chain_of_map(str(chain.measured[0]), 0) for chain in self.chains])
+        return roles.with_chains([chain_of_map(str(chain.measured[0]), 0) for chain in parsed])
 
     @property
     def discrete(self) -> bool:
@@ -379,12 +345,8 @@ class Roles:
     def for_terms(self, terms: Iterable[Expression]) -> Roles:
         """The same with the time as a variable where terms use it, unless a channel has its name.
 
-        Of maps also with the earlier samples that they use.
-
-        Raises
-        ------
-        InputError
-            A map with the time, or with samples that are too early.
+        Of maps also with the earlier samples that they use. An InputError refuses a map with the time, or with samples
+        that are too early.
         """
         names = {name for term in terms for name in term.names}
         timed = TIME not in self.names and TIME in names
@@ -425,18 +387,16 @@ def _static(target: str | Sequence[str] | None, inputs: Sequence[str]) -> list[s
     return [f"{STATIC}{name}" for name in names]
 
 
-def _oscillator(
-    displacement: str | None, velocity: str | None, acceleration: str | None, inputs: Sequence[str]
-) -> tuple[Chain, ...]:
+def _oscillator(single: Mapping[str, str | None]) -> str:
     """The chain of one second-order coordinate from the names of its channels."""
-    if displacement is None and velocity is None and acceleration is None:
+    if all(channel is None for channel in single.values()):
         raise ChainError(
             "no coordinate given: name the displacement (and, where measured, velocity and acceleration), or a chain"
             " such as x:v:a"
         )
-    for role, channel in (("displacement", displacement), ("velocity", velocity), ("acceleration", acceleration)):
+    for role, channel in single.items():
         if channel is not None and (not channel.strip() or ":" in channel):
             raise ChainError(
                 f"{role} {channel[:60]!r} is not a channel's name; name one, or give a chain such as x:v:a instead"
             )
-    return parse_chains([":".join(name or "" for name in (displacement, velocity, acceleration))], inputs)
+    return ":".join(name or "" for name in single.values())

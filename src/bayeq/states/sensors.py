@@ -32,19 +32,11 @@ _FORMS = {
 
 @dataclass(frozen=True, slots=True)
 class Lag:
-    """How late a channel is: its sample at time t is of time t less the lag.
+    """How late a channel is: its sample at time t is of time t less the lag."""
 
-    Attributes
-    ----------
-    value, sd : float
-        The likeliest lag [s], negative of a channel that is early, and its standard deviation.
-    prior_sd : float
-        What was given: the standard deviation of its normal prior of mean 0.
-    """
-
-    value: float
-    sd: float
-    prior_sd: float
+    value: float  # the likeliest lag [s], negative of a channel that is early
+    sd: float  # its standard deviation
+    prior_sd: float  # what was given: the standard deviation of its normal prior of mean 0
 
     def __str__(self) -> str:
         digits = max(0, 1 - math.floor(math.log10(self.sd))) if self.sd > 0.0 else 6
@@ -53,27 +45,15 @@ class Lag:
 
 @dataclass(frozen=True)
 class Sensors:
-    """What is known of channels.
+    """What is known of channels, by their names."""
 
-    Attributes
-    ----------
-    noise : mapping of str to float
-        Standard deviation of the noise of a channel, in its unit; only of channels where it was given. Of noise in
-        proportion to the reading its root mean square.
-    of_reading : mapping of str to float
-        Channels whose noise is in proportion to what is measured, and its share of that; 0 where it is to be learned.
-    gain_sd : mapping of str to float
-        Standard deviation of the factor by which a sensor may be wrong, 0.01 for 1 %.
-    tails : "gauss" or "student"
-        Distribution of the noise: normal, or Student's t, whose tails are heavier.
-    lags : mapping of str to Lag
-        Of channels that may be late.
-    """
-
+    # standard deviation of the noise in the channel's unit, where it was given; of noise in proportion to the reading
+    # its root mean square
     noise: Mapping[str, float] = field(default_factory=dict)
-    gain_sd: Mapping[str, float] = field(default_factory=dict)
-    tails: Tails = "gauss"
-    lags: Mapping[str, Lag] = field(default_factory=dict)
+    gain_sd: Mapping[str, float] = field(default_factory=dict)  # sd of the factor of a sensor, 0.01 for 1 %
+    tails: Tails = "gauss"  # of the noise: normal, or Student's t, whose tails are heavier
+    lags: Mapping[str, Lag] = field(default_factory=dict)  # of channels that may be late
+    # share of noise that is in proportion to what is measured; 0 where it is to be learned
     of_reading: Mapping[str, float] = field(default_factory=dict)
 
     def noisy(self, name: str) -> bool:
@@ -89,12 +69,8 @@ def check_sensors(
 ) -> None:
     """Refuse what cannot be used, before any work.
 
-    Raises
-    ------
-    UnknownNameError
-        A channel that plays no part.
-    InputError
-        A value that is no number, negative or infinite.
+    That is a channel that plays no part (UnknownNameError), or a value that is no number, negative or infinite
+    (InputError).
     """
     known = roles.channels
     for what, given in (("noise", noise), ("gain_sd", gain_sd), ("lag_sd", {} if lag_sd is None else lag_sd)):
@@ -115,12 +91,8 @@ def known_sensors(
 ) -> Sensors:
     """What was given of the channels of some records, in their units.
 
-    Channels that are not measured apart (`bayeq.states.measured_apart`) are left out.
-
-    Raises
-    ------
-    InputError
-        Noise that exceeds what was measured.
+    Channels that are not measured apart (`bayeq.states.measured_apart`) are left out. An InputError refuses noise that
+    exceeds what was measured.
     """
     used = roles.channels
     levels, readings = dict[str, float](), dict[str, float]()

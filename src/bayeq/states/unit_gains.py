@@ -11,12 +11,11 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bayeq.arrays import Floats
+from bayeq.arrays import Complexes, Floats
 from bayeq.records import Record
-from bayeq.records.sampling import even_step
 from bayeq.records.units import derivative_ratio
+from bayeq.records.validate import even_step
 from bayeq.states.roles import Chain
 from bayeq.states.settings import STATES
 
@@ -58,12 +57,7 @@ MOST_ORDER = 2
 def rates(chain: Chain, gains: Sequence[float]) -> tuple[float, ...]:
     """Factor from each channel above the coordinate's to the derivative by time of the channel below it, (K,).
 
-    Parameters
-    ----------
-    chain : Chain
-        Of order K.
-    gains : sequence of float
-        From `unit_gains`; empty where all are 1.
+    The gains of a chain of order K are those of `unit_gains`; empty where all are 1.
 
     Examples
     --------
@@ -76,22 +70,11 @@ def rates(chain: Chain, gains: Sequence[float]) -> tuple[float, ...]:
 
 
 def unit_gains(records: Sequence[Record], chain: Chain, rows: Sequence[int] | None = None) -> Floats:
-    """Factor of each derivative's channel to the derivative in the unit that the lowest measured one implies.
+    """Factor of each derivative's channel to the derivative in the unit that the lowest measured one implies, (K+1,).
 
-    Parameters
-    ----------
-    records : sequence of Record
-        With the chain's channels; NaN is a missing sample.
-    chain : Chain
-        Of order K.
-    rows : sequence of int, optional
-        Rows of each record to learn from, the first. By default all.
-
-    Returns
-    -------
-    (K+1,) array
-        1 below the lowest measured channel; that of the channel below, where one above it is not measured. Negative for
-        a channel of the opposite sign.
+    It is 1 below the lowest measured channel; that of the channel below, where one above it is not measured; negative
+    for a channel of the opposite sign. It is learned from the first `rows` of each record, by default from all; NaN is
+    a missing sample.
     """
     cuts = [record.n for record in records] if rows is None else list(rows)
     gains = np.ones(chain.order + 1)
@@ -191,7 +174,7 @@ def bridged(samples: Floats) -> Floats:
     return np.interp(np.arange(len(samples)), known, samples[known]) if len(known) else np.zeros(len(samples))
 
 
-def _lines(samples: Floats, step: float, order: int) -> NDArray[np.complex128]:
+def _lines(samples: Floats, step: float, order: int) -> Complexes:
     """Transform of a Hann window times the derivative of a signal, from the signal by the product rule."""
     n = len(samples)
     phase = 2.0 * np.pi * (np.arange(n) + 0.5) / n

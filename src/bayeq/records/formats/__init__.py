@@ -125,10 +125,7 @@ def writers() -> Mapping[str, Writer]:
 def format_of(path: Path) -> Format:
     """The format of a file: by its first bytes, else text if it looks like text, else by its suffix.
 
-    Raises
-    ------
-    FileFormatError
-        None of these tells.
+    A FileFormatError says that none of these tells.
     """
     with path.open("rb") as file:
         head = file.read(HEAD)

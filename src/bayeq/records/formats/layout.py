@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 from bayeq.errors import FileFormatError
 from bayeq.records.formats.cells import (
@@ -25,6 +25,8 @@ from bayeq.records.formats.cells import (
     words,
 )
 from bayeq.records.formats.limits import MOST_COLUMNS
+
+T = TypeVar("T")
 
 _SAMPLE_LINES = 200
 _SAMPLE_BYTES = 65536
@@ -62,7 +64,6 @@ class Layout(NamedTuple):
     encoding: str
     delimiter: str | None  # between cells; None for white space
     header: list[str] | None  # its cells; may be one longer or shorter than `width` where lines end in a delimiter
-    header_line: int  # counted from 1
     comment: str  # the comment line directly before the data, without its mark; it may name the columns
     skip: int  # lines before the first row of data
     width: int  # cells in the first row of data
@@ -80,6 +81,16 @@ def encodings(path: Path) -> tuple[str, ...]:
     if any(byte < 32 and byte not in b"\t\n\v\f\r\x1a" for byte in raw):
         return ()
     return ("utf-8-sig", "latin-1")
+
+
+def decoded(path: Path, where: str, read: Callable[[str], T]) -> T:
+    """What is read in the first encoding that fits; a FileFormatError if the file is not text."""
+    for encoding in encodings(path):
+        try:
+            return read(encoding)
+        except UnicodeError:  # also a UTF-16 file that ends within a character
+            continue
+    raise FileFormatError(f"{where}: not a text file")
 
 
 def looks_like_text(path: Path) -> bool:
@@ -111,10 +122,7 @@ def _sample(path: Path, encoding: str, where: str, skip: int) -> tuple[list[tupl
 def sniff(path: Path, encoding: str, where: str = "", skip: int = 0) -> Layout:
     """Find the layout from the first lines below `skip`.
 
-    Raises
-    ------
-    FileFormatError
-        The file is empty, has no rows, or its header does not fit its rows.
+    A FileFormatError says that the file is empty, has no rows, or a header that does not fit its rows.
     """
     where = where or str(path)
     lines, comments = _sample(path, encoding, where, skip)
@@ -149,7 +157,7 @@ def sniff(path: Path, encoding: str, where: str = "", skip: int = 0) -> Layout:
     comma = delimiter in (";", "\t", "|") and not any(_has_point(row, delimiter, stamps) for row in data)
     step = table.step if table is not None and table.step is not None else stated_step(comments)
     comment = comments[-1] if comments else ""
-    return Layout(encoding, delimiter, header, line, comment, lines[first][0] - 1, width, comma, stamps, step)
+    return Layout(encoding, delimiter, header, comment, lines[first][0] - 1, width, comma, stamps, step)
 
 
 def _has_point(row: str, delimiter: str | None, stamps: tuple[int, ...]) -> bool:

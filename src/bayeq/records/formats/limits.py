@@ -74,15 +74,10 @@ def stored_units(text: str | bytes) -> dict[str, str]:
 
 @contextmanager
 def reading(where: str, kind: str) -> Iterator[None]:
-    """Turn whatever a library raises on a damaged file into one line; its warnings are dropped in the main thread.
+    """Turn whatever a library raises on a damaged file into a FileFormatError with the first line of its message.
 
-    Filters of warnings belong to all threads: of several that change them and put them back, one leaves behind what it
-    found of another, and warnings of ours would be lost.
-
-    Raises
-    ------
-    FileFormatError
-        With the first line of the library's message.
+    Its warnings are dropped in the main thread. Filters of warnings belong to all threads: of several that change them
+    and put them back, one leaves behind what it found of another, and warnings of ours would be lost.
     """
     try:
         if threading.current_thread() is threading.main_thread():

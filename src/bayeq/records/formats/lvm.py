@@ -10,7 +10,7 @@ import numpy as np
 
 from bayeq.errors import FileFormatError
 from bayeq.records.formats.cells import unit_cell
-from bayeq.records.formats.layout import encodings
+from bayeq.records.formats.layout import decoded
 from bayeq.records.formats.nested import Channel
 
 _END = "***End_of_Header***"
@@ -21,7 +21,7 @@ _SEPARATORS = {"tab": "\t", "comma": ","}
 def channels(path: Path) -> list[Channel]:
     """List the channels of a file; of several segments as ``[0].name``, ``[1].name`` ...."""
     where = str(path)
-    lines = _text(path).splitlines()
+    lines = decoded(path, where, lambda encoding: path.read_text(encoding=encoding)).splitlines()
     if not lines or not lines[0].startswith("LabVIEW Measurement"):
         raise FileFormatError(f"{where}: not a LabVIEW measurement file: its first line is another")
     header, place = _header(lines, 1, where, "\t")
@@ -47,15 +47,6 @@ def channels(path: Path) -> list[Channel]:
         for k, segment in enumerate(segments)
         for channel in segment
     ]
-
-
-def _text(path: Path) -> str:
-    for encoding in encodings(path):
-        try:
-            return path.read_text(encoding=encoding)
-        except UnicodeError:
-            continue
-    raise FileFormatError(f"{path}: not a text file")
 
 
 def _next(lines: Sequence[str], place: int) -> int:

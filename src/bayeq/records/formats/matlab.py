@@ -168,14 +168,7 @@ class _Elements:
         start, length = self.element(end, frozenset({5}), "lengths of names")
         if length < 4 or (each := self.number(start)) <= 0:
             raise ValueError("names of fields without a length")
-        kind, length, in_tag = self.tag(end)
-        if kind not in LETTERS:
-            raise ValueError(f"names of fields have the type {kind}")
-        if not in_tag:
-            if self.place + length > end:
-                raise ValueError("names of fields are cut off")
-            self.place += -(-length // 8) * 8
-        return length // each
+        return self.element(end, LETTERS, "names of fields")[1] // each
 
 
 def _tree(value: Any) -> Any:

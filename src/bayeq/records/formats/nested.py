@@ -150,14 +150,8 @@ def read_pieces(
     """The columns of each record that is asked for, with the request for that one alone.
 
     Without names in the request these are all channels of one length; `names` are then their names, in order. Of the
-    samples only `rows` are read.
-
-    Raises
-    ------
-    FileFormatError
-        No arrays; lengths or rates that differ between the channels.
-    UnknownNameError
-        No such channel.
+    samples only `rows` are read. A FileFormatError says that there are no arrays, or that lengths or rates differ
+    between the channels; an UnknownNameError that there is no such channel.
     """
     if not channels:
         raise FileFormatError(f"{where}: holds no array of numbers that could be a channel")

@@ -46,10 +46,7 @@ def columns_of(array: AnyArray, where: str) -> tuple[list[str], list[AnyArray]]:
 def read_array(file: IO[bytes], size: int, where: str, what: str) -> AnyArray:
     """Read an array in NumPy's format from its first byte, of `size` bytes; `where` and `what` are for messages.
 
-    Raises
-    ------
-    FileFormatError
-        An array of objects, which would have to be unpickled, or one that claims more than the file holds.
+    A FileFormatError refuses one of objects, which would have to be unpickled, or that claims more than the file holds.
     """
     version = np.lib.format.read_magic(file)
     if version not in _HEADERS:

@@ -20,23 +20,11 @@ class Flat(Protocol):
     """The module of a format whose files are one table."""
 
     def read_columns(self, path: Path, *, names: Names = None, chosen: Select | None = None) -> Columns:
-        """Read a table.
+        """Read the columns of a table that are `chosen`; the others need not be numbers.
 
-        Parameters
-        ----------
-        path : Path
-            The file.
-        names : list of str, or str, optional
-            Names of the columns instead of the file's; a string is split at commas and white space.
-        chosen : callable, optional
-            Which columns to read; the others need not be numbers.
-
-        Raises
-        ------
-        FileFormatError
-            The file is not what it should be; text names the line and the column.
-        MissingExtraError
-            The package that reads it is not installed.
+        `names` are those of all columns, in order, instead of the file's; a string is split at commas and white space.
+        Raises a FileFormatError if the file is not what it should be, of text with the line and the column, and a
+        MissingExtraError if the package that reads it is not installed.
         """
 
 
@@ -44,15 +32,7 @@ class Nested(Protocol):
     """The module of a format whose files hold many arrays, named by their paths."""
 
     def channels(self, path: Path) -> list[Channel]:
-        """List the arrays of a file.
-
-        Raises
-        ------
-        FileFormatError
-            The file is not what it should be.
-        MissingExtraError
-            The package that reads it is not installed.
-        """
+        """List the arrays of a file; errors are those of `Flat`."""
 
 
 class Writer(Protocol):
@@ -78,13 +58,7 @@ class FileRows:
         raise NotImplementedError
 
     def read(self, start: int, stop: int, request: Request) -> Columns:
-        """Rows `start` to `stop` of the columns that are asked for.
-
-        Raises
-        ------
-        FileFormatError
-            The file is not what it should be, or has changed.
-        """
+        """Rows `start` to `stop` of the columns asked for; a FileFormatError if the file is damaged or has changed."""
         raise NotImplementedError
 
 

@@ -33,20 +33,14 @@ def channels(path: Path) -> list[Channel]:
             place = f"{group}.{channel.name}"
             check_array(where, place, (len(channel),), np.dtype(channel.dtype).itemsize, size)
             label = channel.name if count[channel.name] == 1 else f"{group} {channel.name}"
-            found.append(_channel(place, label, channel[:], channel.properties))
+            values, about = channel[:], channel.properties
+            unit = str(about.get("unit_string") or "").strip() or None
+            step, start = (_number(about.get(key)) for key in ("wf_increment", "wf_start_offset"))
+            if step is None or step <= 0:
+                step = start = None
+            found.append(Channel(place, len(values), values.__getitem__, label, unit, step, start or 0.0))
     return found
 
 
-def _channel(place: str, label: str, values: Any, properties: Any) -> Channel:
-    step = properties.get("wf_increment")
-    known = isinstance(step, (int, float)) and np.isfinite(step) and step > 0
-    start = properties.get("wf_start_offset", 0.0)
-    return Channel(
-        place,
-        len(values),
-        values.__getitem__,
-        label,
-        str(properties.get("unit_string") or "").strip() or None,
-        float(step) if known else None,
-        float(start) if known and isinstance(start, (int, float)) and np.isfinite(start) else 0.0,
-    )
+def _number(value: Any) -> float | None:
+    return float(value) if isinstance(value, (int, float)) and np.isfinite(value) else None

@@ -21,14 +21,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bayeq.arrays import Floats
 from bayeq.errors import FileFormatError, WordsError
 from bayeq.records.columns import Columns, Headers, Names, Request, Select
 from bayeq.records.formats.cells import MISSING, Stamp, fitted, is_blank, is_comment, parse_stamp, split
-from bayeq.records.formats.layout import Layout, comment_header, encodings, sniff
+from bayeq.records.formats.layout import Layout, comment_header, decoded, encodings, sniff
 from bayeq.records.formats.limits import needing, reading
 from bayeq.records.formats.protocol import UNIT_ROWS, FileRows
 from bayeq.records.record import Record
-from bayeq.records.truth import FloatArray
 
 _FORTRAN = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+))[dD]([+-]?\d+)")
 _ROWS_AT_ONCE = 20_000
@@ -49,12 +49,8 @@ def read_columns(
     Comment lines begin with ``#`` or ``%``; the one directly before the data names the columns if there is
     no other header and the number of its words fits. Empty cells, NA and nan become NaN.
     """
-    for encoding in encodings(path):
-        try:
-            return _read(path, where or str(path), encoding, names, chosen, skip)
-        except UnicodeError:  # also a UTF-16 file that ends within a character
-            continue
-    raise FileFormatError(f"{where or path}: not a text file")
+    where = where or str(path)
+    return decoded(path, where, lambda encoding: _read(path, where, encoding, names, chosen, skip))
 
 
 def _named(layout: Layout, where: str) -> tuple[Headers, Sequence[Sequence[str]]]:
@@ -81,7 +77,7 @@ def _read(path: Path, where: str, encoding: str, names: Names, chosen: Select | 
         if chosen is not None and (given is not None or not unnamed or not readings):
             named = headers if given is None else headers.renamed([*given, *[""] * (layout.width - len(given))])
             skipped = set(range(layout.width)) - set(chosen(named))
-        lines = _Lines(path, layout, headers, skipped, where)
+        lines = _Lines(path, layout, headers, skipped)
         data = lines.read()
         if lines.trailing and not headers.texts[-1] and layout.width > 1 and len(given or ()) != layout.width:
             data = data[:, :-1]
@@ -91,13 +87,13 @@ def _read(path: Path, where: str, encoding: str, names: Names, chosen: Select | 
         headers = Headers.parse(["trial", "t", *readings[0]], where)
     if layout.stamps:
         kept = range(len(headers))
-        headers = headers.with_units(["s" if i in layout.stamps else headers.units[i] for i in kept])
+        headers = replace(headers, units=["s" if i in layout.stamps else headers.units[i] for i in kept])
     columns = np.ascontiguousarray(data.T)
     found = Columns.build(headers.renamed(given), columns.__getitem__, chosen)
     return replace(found, step=layout.step)
 
 
-def _is_trial_and_time(data: NDArray[np.float64]) -> bool:
+def _is_trial_and_time(data: Floats) -> bool:
     """Whether the leading two columns count trials and, within each, increase as time does."""
     trial, time = data[:, 0], data[:, 1]
     same = trial[1:] == trial[:-1]
@@ -107,15 +103,15 @@ def _is_trial_and_time(data: NDArray[np.float64]) -> bool:
 class _Lines:
     """The thorough reader: every cell is looked at, the first fault is reported."""
 
-    def __init__(self, path: Path, layout: Layout, headers: Headers, skipped: Collection[int], where: str = "") -> None:
+    def __init__(self, path: Path, layout: Layout, headers: Headers, skipped: Collection[int]) -> None:
         self.path, self.layout, self.headers, self.skipped = path, layout, headers, skipped
-        self.where = where or str(path)
+        self.where = headers.where
         self.trailing = True  # whether the last cell of every row is empty
         self.start = 0  # line of the first row
         self.first: dict[int, Stamp] = {}  # the first time stamp of each column that has them
         self.day_first = {column: self._day_first(column) for column in layout.stamps if column not in skipped}
 
-    def read(self) -> FloatArray:
+    def read(self) -> Floats:
         layout, mark = self.layout, self.layout.delimiter
         values = array("d")
         rows = last = 0
@@ -325,7 +321,7 @@ class TextRows(FileRows):
         found = Columns.build(self.headers, lambda i: values[i][taken], lambda _: columns)
         return replace(found, step=self.layout.step)
 
-    def _parsed(self, text: bytes, columns: list[int], start: int, stop: int) -> dict[int, FloatArray]:
+    def _parsed(self, text: bytes, columns: list[int], start: int, stop: int) -> dict[int, Floats]:
         where = f"{self.path}, rows {start + 1:,} to {stop:,}"
         with reading(where, "table of numbers"):
             if self.layout.delimiter is None:
@@ -337,7 +333,7 @@ class TextRows(FileRows):
             raise FileFormatError(f"{where}: the file has changed while it was read, or a cell has a line end in it")
         return values
 
-    def _by_arrow(self, text: bytes, columns: list[int]) -> dict[int, FloatArray]:
+    def _by_arrow(self, text: bytes, columns: list[int]) -> dict[int, Floats]:
         with needing("pyarrow", "parquet", "reading text files of this size"):
             import pyarrow as pa
             import pyarrow.csv as pc

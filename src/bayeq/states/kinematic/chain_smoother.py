@@ -11,7 +11,7 @@ import numpy as np
 from bayeq.arrays import Floats
 from bayeq.errors import InputError, RecordError
 from bayeq.records import Record
-from bayeq.records.sampling import even_step
+from bayeq.records.validate import even_step
 from bayeq.states.kinematic.fit import fit_kinematic
 from bayeq.states.kinematic.model import ChainSeries, KinematicModel
 from bayeq.states.kinematic.smoother import smooth_kinematic

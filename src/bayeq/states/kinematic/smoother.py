@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from bayeq.arrays import Floats
 from bayeq.errors import InputError
-from bayeq.records.sampling import is_step
+from bayeq.records.validate import is_step
 from bayeq.states.kinematic.kalman import Tables, filter_gains, filter_means, score
 from bayeq.states.kinematic.model import ChainSeries, KinematicModel, sizes_of
 from bayeq.states.kinematic.rts import smooth
