@@ -8,11 +8,13 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from scipy.special import erf
 from studies.adverse_records import CASES, draw_record
 
 import bayeq as bq
 from bayeq.expressions import Evaluator, Expression, number, parse
+from bayeq.likelihood import search
 from bayeq.likelihood.blur import blur_of
 from bayeq.likelihood.layout import Layout, Series
 from bayeq.likelihood.settings import LIKELIHOOD
@@ -171,6 +173,48 @@ def test_a_missing_term_leaves_a_discrepancy():
     (whole,) = quietly(record, **OSCILLATOR, dictionary=["x", "v", "x**3", "u"])
     assert whole.residuals.discrepancy < 0.02
     assert whole.verdict.kind == "found"
+
+
+def test_a_model_that_starts_lead_to_again_is_fitted_once(monkeypatch):
+    fitted, searches = [], []
+    fit, through = search.from_all_levels, search.from_starts
+
+    def fit_noted(task, state, beside=None):
+        fitted.append(task.model(state.chosen).tobytes())
+        return fit(task, state, beside)
+
+    def through_noted(task, starts):
+        met, tried = len(fitted), []
+        found = through(task, (tried.append(one) or one for one in starts))
+        searches.append((len(tried), fitted[met:]))
+        return found
+
+    monkeypatch.setattr(search, "from_all_levels", fit_noted)
+    monkeypatch.setattr(search, "from_starts", through_noted)
+    record = draw_record(CASES["no x**3 offered"], 1000, 3)
+    quietly(record, **OSCILLATOR, dictionary=["x", "v", "u"])
+    assert searches
+    for starts, models in searches:
+        assert starts > 1  # nothing stands for the missing term
+        assert len(set(models)) == len(models) < starts
+
+
+def test_the_standard_error_of_a_discrepancy_is_that_of_draws():
+    _, eq, _ = duffing()
+    found = eq[0].fit.regression.record
+    rng, draws, rows = np.random.default_rng(0), 4000, 1000
+    for memory in (0.5, 0.9):
+        start = rng.standard_normal(draws)
+        steps = np.sqrt(1.0 - memory**2) * rng.standard_normal((rows, draws))
+        path = lfilter([1.0], [1.0, -memory], steps, axis=0, zi=memory * start[None])[0]
+        sds = path.std(axis=0)
+        levels = replace(found.fitted.state.levels, memory=np.array([memory]))
+        fitted = replace(found.fitted, state=replace(found.fitted.state, levels=levels))
+        task = replace(found.task, counted=float(rows * len(found.task.layout.channels)))
+        # of 4000 draws the spread is known to 1.1 %
+        assert replace(found, task=task, fitted=fitted).kappa_error[0] == pytest.approx(
+            sds.std() / sds.mean(), rel=0.05
+        )
 
 
 # --- all rows --------------------------------------------------------------------------------------------------------
