@@ -19,6 +19,7 @@ from bayeq.equation import along
 from bayeq.equation.equations import Equations
 from bayeq.equation.settings import EQUATION
 from bayeq.equation.verdict import state_noise, window_errors
+from bayeq.equation.written import moment
 from bayeq.errors import DataWarning, InputError
 from bayeq.forecast.run import Forecast
 from bayeq.forecast.score import percentages
@@ -97,7 +98,7 @@ class Prediction:
         """The sentence, the equations and a table of errors."""
         lines = [f"verdict: {self.reason}", "", self.text, "", *self._table(), ""]
         if self.blew_up_at is not None:
-            lines.append(f"the free run blew up at {self.blew_up_at:.6g} s")
+            lines.append(f"the free run blew up at {moment(self.blew_up_at, self.runs[0][1].clock == 'samples')}")
         if self.windows:
             lines.append(f"free runs over one period: normalised RMS error {percentages(self.windows)}")
         lines.append(

@@ -13,6 +13,7 @@ from bayeq.equation.oscillator import own_parameters
 from bayeq.equation.physical import PhysicalParameters, Quantity, forces_of
 from bayeq.equation.rows import rows_of, short_names, with_names
 from bayeq.equation.text import CERTAIN, DOUBTFUL, LONGEST_NAME, forms_of, given_of, source_of, unseen
+from bayeq.equation.written import moment
 from bayeq.errors import printable
 from bayeq.forecast.score import percentages
 from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
@@ -153,12 +154,13 @@ def checks(eq: Answer) -> str:
         fits, where = [one.train for one in seen], "the rows used (none were held out)"
     pairs = [(one.target, fit) for one, fit in zip(seen, fits, strict=True) if fit is not None]
     parts = [percentages({target: fit.nrmse}).replace(" ", " within ", 1) for target, fit in pairs]
-    if eq.scores is not None and eq.scores.blew_up_at is None:
+    stopped = None if eq.scores is None else eq.scores.blew_up_at
+    if stopped is not None:
+        parts.append(f"a free run over them blew up at {moment(stopped, eq.roles.discrete)}")
+    elif eq.scores is not None:
         states = [name for one in eq.equations for name in one.chain.states if name in eq.scores.free_run]
         if states:
             parts.append(f"free run within {percentages({name: eq.scores.free_run[name] for name in states})}")
-    elif eq.scores is not None:
-        parts.append(f"a free run over them blew up at {eq.scores.blew_up_at:.6g} s")
     if all(not list(failed(one)) and one.verdict.kind == "found" for one in eq.equations):
         parts.append("what is left looks like noise")
     return printable(f"checked on {pairs[0][1].n} {where}: {', '.join(parts)}")

@@ -15,7 +15,7 @@ from bayeq.equation.equation import Equation
 from bayeq.equation.rows import Row, rows_of, short_names, with_names
 from bayeq.equation.size_path import percent
 from bayeq.equation.verdict import LEAST_SHOWN
-from bayeq.equation.written import odds_text, round_to
+from bayeq.equation.written import moment, odds_text, round_to
 from bayeq.errors import printable
 from bayeq.forecast.score import Scores, percentages
 from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
@@ -288,7 +288,7 @@ def _free_run(equation: Equation, scores: Scores | None) -> list[str]:
     if scores is None:
         return []
     if scores.blew_up_at is not None:
-        return [f"free run over the held-out rows: blew up at {scores.blew_up_at:.6g} s"]
+        return [f"free run over the held-out rows: blew up at {moment(scores.blew_up_at, equation.chain.discrete)}"]
     errors = {name: scores.free_run[name] for name in equation.chain.states if name in scores.free_run}
     if not errors:  # no state is measured
         return []

@@ -76,3 +76,8 @@ def odds_text(log_odds: float) -> str:
     ratio = math.exp(min(abs(log_odds), 700.0))
     number = f"{ratio:.1f}" if ratio < 9.95 else f"{ratio:.0f}" if ratio < 1e6 else f"{ratio:.0e}"
     return f"1:{number}" if log_odds <= 0 else f"{number}:1"
+
+
+def moment(time: float, discrete: bool) -> str:
+    """A time of a record, in samples where the equations are a map."""
+    return f"sample {time:.6g}" if discrete else f"{time:.6g} s"
