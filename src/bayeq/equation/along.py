@@ -24,9 +24,6 @@ if TYPE_CHECKING:
 
 Found = TypeVar("Found", bound=Answer)
 
-# Courses of inputs that output error tries, and those that the likelihood found.
-REFINE_BY: tuple[Interpolation, ...] = ("cubic", "linear", "band-limited")
-
 # Share of the rows that is scored where none were held out.
 LAST = 0.2
 
@@ -151,14 +148,13 @@ def refinement(eq: Found, records: Sequence[Record], holdout: float, interpolati
     for equation in eq.equations:
         if not equation.shown:
             raise InputError(f"{equation.target}: there are no terms to refine")
-    kinds = [interpolation] if interpolation else [*REFINE_BY, *eq.data.interpolation.values()]
     found = refine(
         eq.dynamics(),
         eq.dynamics([equation.intercept_matters for equation in eq.equations]),
         prepared(records, eq.roles, eq.smooth, eq.warnings, divide=True, level=4),
         smooth=eq.smooth,
         holdout=holdout,
-        kinds=list(dict.fromkeys(kinds if eq.inputs else ["cubic"])),
+        interpolation=interpolation or eq.data.interpolation,
         constraints=eq.known(),
         sensors=eq.data.sensors,
     )

@@ -12,7 +12,7 @@ from bayeq.arrays import Bools, Floats
 from bayeq.errors import ConvergenceWarning, DataWarning, RecordError, WarningLog
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import apart, typical_period, window_runs
-from bayeq.forecast.rows import Rows, divided, predicted_target, rows_of
+from bayeq.forecast.rows import Courses, Rows, divided, predicted_target, rows_of
 from bayeq.forecast.score import Scores, percentages, score_rows
 from bayeq.inference.posterior import Posterior
 from bayeq.ode.rk4 import Interpolation
@@ -26,6 +26,9 @@ from bayeq.states.motion import held_out_share
 
 # With fewer rows there is no free run to speak of.
 LEAST_ROWS = 8
+
+# How inputs may go between their samples, beside what was found of them.
+KINDS: tuple[Interpolation, ...] = ("cubic", "linear", "band-limited")
 
 # Errors that differ by less than this share are the same: it is what a run's own errors may do.
 SAME = 0.01
@@ -106,7 +109,7 @@ def refine(
     *,
     smooth: Smooth,
     holdout: float,
-    kinds: Sequence[Interpolation],
+    interpolation: Courses,
     constraints: Sequence[Constraints],
     sensors: Sensors,
 ) -> RefinedEquations | Unrefined:
@@ -114,12 +117,18 @@ def refine(
 
     `before` are the equations by regression, with all intercepts; `dynamics` the same with the intercepts that are
     estimated, the others are set to zero. Constraints are those of each equation. Known noise of channels is not
-    estimated. Inputs go between their samples by that of `kinds` that is likeliest. Where equations are refined, free
-    runs over windows of the rows used are no worse than before; see `runs_are_worse`.
+    estimated. Inputs go between their samples as is given of all of them, or by what is likeliest, found before or one
+    of `KINDS`. Where equations are refined, free runs over windows of the rows used are no worse than before; see
+    `runs_are_worse`.
 
     InputError: channels that are missing, no time, too few rows, nothing that constraints leave free.
     """
     known = Known.of(dynamics, constraints)
+    kinds: list[Interpolation] = ["cubic"]
+    if isinstance(interpolation, str):
+        kinds = [interpolation]
+    elif dynamics.inputs:
+        kinds = list(dict.fromkeys([*KINDS, *interpolation.values()]))
     share = held_out_share(holdout, sum(one.n for one in records))
     measured = motion = estimate_motion(records, dynamics.roles, smooth, share, sensors)
     rows = rows_of(measured, "refine")
