@@ -19,7 +19,7 @@ from bayeq.equation import along
 from bayeq.equation.equations import Equations
 from bayeq.equation.settings import EQUATION
 from bayeq.equation.verdict import state_noise, window_errors
-from bayeq.equation.written import moment
+from bayeq.equation.written import finite, moment
 from bayeq.errors import DataWarning, InputError
 from bayeq.forecast.run import Forecast
 from bayeq.forecast.score import percentages
@@ -75,7 +75,7 @@ class Prediction:
         """What ``bayeq predict --json`` prints; None for the infinite error of a run that blew up."""
 
         def plain(errors: Mapping[str, Error]) -> dict[str, Any]:
-            return {name: {key: _finite(value) for key, value in asdict(one).items()} for name, one in errors.items()}
+            return {name: {key: finite(value) for key, value in asdict(one).items()} for name, one in errors.items()}
 
         return {
             "version": version("bayeq"),
@@ -89,7 +89,7 @@ class Prediction:
             "equations": self.text.splitlines(),
             "one_step": plain(self.one_step),
             "free_run": plain(self.free_run),
-            "windows": {name: _finite(error) for name, error in self.windows.items()},
+            "windows": {name: finite(error) for name, error in self.windows.items()},
             "blew_up_at": self.blew_up_at,
             "warnings": list(self.notes),
         }
@@ -121,10 +121,6 @@ class Prediction:
         ruler = "|".join("-" * (width + 2) for width in widths)
         written = [" | ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
         return [f"| {written[0]} |", f"|{ruler}|", *(f"| {line} |" for line in written[1:])]
-
-
-def _finite(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def as_equations_have_them(equations: Equations, record: Record) -> tuple[Record, list[str]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any
@@ -13,6 +12,7 @@ from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation
 from bayeq.equation.intervals import Model
 from bayeq.equation.oscillator import own_parameters
+from bayeq.equation.written import finite
 from bayeq.forecast.score import Scores
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.unknowns import ConstantEstimate
@@ -36,7 +36,7 @@ def _attributes(of: object, *names: str) -> dict[str, Any]:
 def to_dict(eq: Answer) -> dict[str, Any]:
     """The answer as plain data, every candidate term of every equation in it."""
     files, found = eq.data.files, own_parameters(eq)
-    hidden = [{"state": one.state, "log_odds_without": _finite(one.log_odds_without)} for one in eq.hidden]
+    hidden = [{"state": one.state, "log_odds_without": finite(one.log_odds_without)} for one in eq.hidden]
     return {
         "version": version("bayeq"),
         "method": eq.method,
@@ -87,7 +87,7 @@ def to_dict(eq: Answer) -> dict[str, Any]:
 def _scores(scores: Scores) -> dict[str, Any]:
     """Errors of the rows held out; None for the infinite one of a run that blew up."""
     errors = {
-        kind: {name: _finite(error) for name, error in found.items()}
+        kind: {name: finite(error) for name, error in found.items()}
         for kind, found in (("one_step", scores.one_step), ("free_run", scores.free_run))
     }
     return asdict(scores) | errors
@@ -157,9 +157,9 @@ def _terms(equation: Equation) -> list[dict[str, Any]]:
     bound = absent if equation.bound is None else equation.bound
     share = absent if equation.share is None else np.where(shown.support, equation.share, np.nan)
     columns |= {
-        "share": list(map(_finite, share.tolist())),  # of a term that is shown
+        "share": list(map(finite, share.tolist())),  # of a term that is shown
         "unit": equation.coef_units,
-        "bound": list(map(_finite, bound.tolist())),  # of one not included
+        "bound": list(map(finite, bound.tolist())),  # of one not included
     }
     return [dict(zip(columns, row, strict=True)) for row in zip(*map(_plain, columns.values()), strict=True)]
 
@@ -167,11 +167,6 @@ def _terms(equation: Equation) -> list[dict[str, Any]]:
 def _model(prefix: str, model: Model) -> dict[str, Any]:
     """Coefficients of all candidates, their standard deviations and intervals."""
     return {f"{prefix}{name}": getattr(model, name) for name in ("coef", "sd", "ci95")}
-
-
-def _finite(number: float) -> float | None:
-    """None for NaN and for infinity, which JSON does not have."""
-    return number if math.isfinite(number) else None
 
 
 def _average(p: Posterior) -> dict[str, Any] | None:
@@ -248,4 +243,4 @@ def _saved_model(p: Posterior) -> dict[str, Any]:
 
 def _freedom(p: Posterior) -> list[float | None] | None:
     """Degrees of freedom of all terms; None for infinitely many."""
-    return None if p.freedom is None else list(map(_finite, p.freedom.tolist()))
+    return None if p.freedom is None else list(map(finite, p.freedom.tolist()))

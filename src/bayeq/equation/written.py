@@ -81,3 +81,8 @@ def odds_text(log_odds: float) -> str:
 def moment(time: float, discrete: bool) -> str:
     """A time of a record, in samples where the equations are a map."""
     return f"sample {time:.6g}" if discrete else f"{time:.6g} s"
+
+
+def finite(value: Any) -> Any:
+    """A value as JSON can hold it: None for a number that is infinite or not known."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
