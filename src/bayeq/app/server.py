@@ -17,9 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from bayeq.app.session import LARGEST, Session, Workspace
-from bayeq.errors import InputError
+from bayeq.errors import InputError, needing
 from bayeq.posix import POSIX, on_signal
-from bayeq.records.formats.limits import needing
 
 # Of an upload, beside the file [bytes].
 AROUND = 100_000

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.errors import BayeqError, InputError, MissingExtraError
+from bayeq.errors import BayeqError, InputError, needing
 from bayeq.expressions import parse, to_sympy
 from bayeq.records.files import replacing
 
@@ -91,10 +91,8 @@ def require_matplotlib() -> None:
     logger = logging.getLogger("matplotlib")
     if not logger.level:  # its remarks, as on a home that cannot be written, are not about the figure
         logger.setLevel(logging.ERROR)
-    try:
+    with needing("matplotlib", "plot", "drawing figures"):
         import matplotlib.figure  # noqa: F401
-    except ImportError as error:
-        raise MissingExtraError("matplotlib", "plot", "drawing figures") from error
 
 
 @contextmanager

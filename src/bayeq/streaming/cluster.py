@@ -26,9 +26,8 @@ from weakref import WeakValueDictionary
 
 from threadpoolctl import threadpool_limits
 
-from bayeq.errors import BayeqError, InputError
+from bayeq.errors import BayeqError, InputError, needing
 from bayeq.records import Record
-from bayeq.records.formats.limits import needing
 from bayeq.records.formats.protocol import parts_between
 from bayeq.records.stream import FileStream
 from bayeq.streaming.partitions import DaskStream, Parts

@@ -22,9 +22,8 @@ from typing import Any
 import numpy as np
 
 from bayeq.arrays import Floats
-from bayeq.errors import BayeqError, BayeqWarning
+from bayeq.errors import BayeqError, BayeqWarning, needing
 from bayeq.records import Record
-from bayeq.records.formats.limits import needing
 from bayeq.study import cells
 from bayeq.study.cells import CONSTANT, Cell, Cells, Outcome
 from bayeq.study.config import choose

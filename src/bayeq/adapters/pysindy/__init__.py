@@ -8,7 +8,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from bayeq.records.formats.limits import needing
+from bayeq.errors import needing
 
 if TYPE_CHECKING:
     from bayeq.adapters.pysindy.parts import KinematicDerivative, SpikeSlabOptimizer

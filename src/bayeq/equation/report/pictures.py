@@ -15,7 +15,7 @@ import numpy as np
 
 from bayeq import figures
 from bayeq.equation.answer import Answer
-from bayeq.errors import BayeqError, MissingExtraError
+from bayeq.errors import BayeqError, needing
 from bayeq.figures.picture import given_as, unit_text
 from bayeq.figures.style import UNSIGNED, style
 from bayeq.inference.engines import NOTEWORTHY_PIP
@@ -132,10 +132,8 @@ POINT = 96.0 / 72.0
 
 def require_bokeh() -> None:
     """Check that live pictures can be made; MissingExtraError without Bokeh."""
-    try:
+    with needing("bokeh", "report", "a report with live pictures"):
         import bokeh.plotting  # noqa: F401
-    except ImportError as error:
-        raise MissingExtraError("bokeh", "report", "a report with live pictures") from error
 
 
 def without_maths(label: str) -> str:

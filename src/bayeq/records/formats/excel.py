@@ -12,10 +12,10 @@ from datetime import date, datetime, time, timedelta
 from pathlib import Path
 from typing import Any
 
-from bayeq.errors import FileFormatError, UnknownNameError
+from bayeq.errors import FileFormatError, UnknownNameError, needing
 from bayeq.records.columns import Columns, Names, Select
 from bayeq.records.formats import text
-from bayeq.records.formats.limits import MOST_COLUMNS, check_claim, needing, reading
+from bayeq.records.formats.limits import MOST_COLUMNS, check_claim, reading
 
 #: The mark of the container of .xls files.
 OLE = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"

@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
-from bayeq.errors import FULL, BayeqError, FileFormatError, MissingExtraError
+from bayeq.errors import FULL, BayeqError, FileFormatError
 
 #: A file may unpack to this many times its size ...
 MOST_RATIO = 100
@@ -55,15 +55,6 @@ def in_words(size: int) -> str:
         if size >= factor:
             return f"{size / factor:.3g} {unit}"
     return f"{size} bytes"
-
-
-@contextmanager
-def needing(package: str, extra: str, purpose: str) -> Iterator[None]:
-    """Import a package of an extra within; MissingExtraError if it is not installed."""
-    try:
-        yield
-    except ImportError:
-        raise MissingExtraError(package, extra, purpose) from None
 
 
 def stored_units(text: str | bytes) -> dict[str, str]:

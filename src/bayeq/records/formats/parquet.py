@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from bayeq.errors import FileFormatError
+from bayeq.errors import FileFormatError, needing
 from bayeq.records.columns import Columns, Headers, Names, Request, Select
-from bayeq.records.formats.limits import check_array, needing, reading, stored_units
+from bayeq.records.formats.limits import check_array, reading, stored_units
 from bayeq.records.formats.protocol import UNIT_ROWS, FileRows, parts_between
 from bayeq.records.record import Record
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from bayeq.errors import FileFormatError
-from bayeq.records.formats.limits import check_array, needing, reading
+from bayeq.errors import FileFormatError, needing
+from bayeq.records.formats.limits import check_array, reading
 from bayeq.records.formats.nested import Channel
 
 

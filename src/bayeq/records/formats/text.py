@@ -22,11 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.arrays import Floats
-from bayeq.errors import FileFormatError, WordsError
+from bayeq.errors import FileFormatError, WordsError, needing
 from bayeq.records.columns import Columns, Headers, Names, Request, Select
 from bayeq.records.formats.cells import MISSING, Stamp, fitted, is_blank, is_comment, parse_stamp, split
 from bayeq.records.formats.layout import Layout, comment_header, decoded, encodings, sniff
-from bayeq.records.formats.limits import needing, reading
+from bayeq.records.formats.limits import reading
 from bayeq.records.formats.protocol import UNIT_ROWS, FileRows
 from bayeq.records.record import Record
 
