@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from bayeq.likelihood.fit import State, of_inputs
-from bayeq.likelihood.search import CLEARLY, FLAT, Fitted, Task, calmed, fit, of_motion, settle
+from bayeq.likelihood.search import CLEARLY, FLAT, Fitted, Task, calmed, fit, of_motion, on_the_way
 from bayeq.likelihood.settings import LIKELIHOOD
 from bayeq.likelihood.start import with_courses
 from bayeq.states import Motion
@@ -21,28 +21,29 @@ def with_other_inputs(motion: Motion, task: Task, best: Fitted) -> tuple[Task, F
     """
     margin = CLEARLY if task.layout.late or task.layout.roles.hidden else 0.0
     for k in range(len(task.layout.roles.inputs)):
-        tried = [(task, best)]
+        tried = [(task, best if best.averages is not None else fit(task, best.state, coarse=True))]
         for group in with_courses(motion, task, best, k):
             there, state = max(group, key=lambda pair: at_once(*pair))
             try:
                 tried.append((there, fit(there, noisier(there, calmed(state), k), coarse=True)))
             except np.linalg.LinAlgError:
                 continue
-        likeliest = max(tried, key=lambda pair: of_likeliest(*pair))
-        gain = of_likeliest(*likeliest) - of_likeliest(task, best)
-        if likeliest[1] is not best and gain > margin:
+        own, likeliest = of_likeliest(*tried[0]), max(tried, key=lambda pair: of_likeliest(*pair))
+        gain = of_likeliest(*likeliest) - own
+        if likeliest is not tried[0] and gain > margin:
             there, state = likeliest[0], likeliest[1].state
             try:
-                found = settle(there, state) if gain > FLAT else (there, fit(there, state))
+                found = on_the_way(there, state) if gain > FLAT else likeliest
             except np.linalg.LinAlgError:
                 continue
-            task, best = max([(task, best), found], key=lambda pair: of_motion(*pair))
+            if of_likeliest(*found) > own:
+                task, best = found
     return task, best
 
 
 def of_likeliest(task: Task, fitted: Fitted) -> float:
     """`of_motion` with the likeliest discrepancies, as coarse fits have it."""
-    return of_motion(task, fitted) - float(fitted.averages.sum())
+    return of_motion(task, fitted) - (0.0 if fitted.averages is None else float(fitted.averages.sum()))
 
 
 def at_once(task: Task, state: State) -> float:

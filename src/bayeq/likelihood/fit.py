@@ -217,14 +217,15 @@ def over_sizes(
     for c in np.flatnonzero(np.isnan(former)).tolist():
         likeliest = float(np.log(levels.discrepancy[c]))
 
-        def log_ratio(size: float, c: int = c) -> float:
-            return (
-                marginal(linears, state, levels.with_discrepancy(c, np.exp(size)), precision, keep=False).value - value
-            )
+        def log_ratio(size: float, c: int = c, likeliest: float = likeliest) -> float:
+            if size == likeliest:
+                return 0.0
+            other = levels.with_discrepancy(c, np.exp(size))
+            return marginal(linears, state, other, precision, keep=False).value - value
 
         low, high = bounds[:, c].tolist()
         means[c], size = log_mean(log_ratio, low, high, likeliest)
-        met[c] = np.exp(size)
+        met[c] = met[c] if size == likeliest else np.exp(size)
     return means, replace(levels, discrepancy=met)
 
 

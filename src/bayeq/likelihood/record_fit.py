@@ -29,6 +29,7 @@ from bayeq.likelihood.search import (
     Fitted,
     Task,
     among_neighbours,
+    finished,
     fit,
     from_all_levels,
     from_starts,
@@ -457,14 +458,14 @@ def fit_record(
             task, states = start_from(some, terms, grams, log_odds, tolerance, stated, conserved)
             task, fitted = search(task, states)
             if motion.roles.hidden:  # a lag that is off looks like another course
-                task, fitted = settled(some, task, fitted)
+                task, fitted = settled(some, task, finished(task, fitted))
             task, fitted = with_other_inputs(some, task, fitted)
             task, fitted, forms = with_constants(some, task, fitted)
             if some is not motion:
                 return _resumed(motion, task, fitted, places)
             unequal, state = with_unequal_noise(task, fitted.state, motion.sensors)
-            if unequal is not task:
-                task, fitted = unequal, resumed(unequal, state)
+            fitted = finished(task, fitted) if unequal is task else resumed(unequal, state)
+            task = unequal
             return _checked(replace(RecordFit.of(task, fitted), forms=forms))
     except np.linalg.LinAlgError:
         return None
@@ -492,9 +493,9 @@ def learned_lags(
         task, states = start_from(some, terms, grams, first_members(some, terms, log_odds), None)
         try:
             task, fitted = from_starts(task, states)
+            lags = lags_of(task, finished(task, fitted).state)
         except np.linalg.LinAlgError:
             return None
-        lags = lags_of(task, fitted.state)
     before = motion.sensors.lags
     return lags, max((abs(one.value - before[name].value) / one.sd for name, one in lags.items()), default=0.0)
 

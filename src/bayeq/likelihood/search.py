@@ -1,10 +1,11 @@
 """Which coefficients are not zero.
 
 1. `on_the_way`, from each start: linearise, select on the Gram of all candidates, fit, and again until the model
-   stays; `from_all_levels` fits that model.
+   stays.
 2. `bayeq.likelihood.courses.with_other_inputs`: other courses of the inputs between samples are tried.
-3. `resumed`: what was found on some rows is fitted to all, in rounds as in 1.
-4. `among_neighbours`: flips and swaps of single terms, each compared by the evidence of its own fit.
+3. `from_all_levels` fits the model.
+4. `resumed`: what was found on some rows is fitted to all, in rounds as in 1.
+5. `among_neighbours`: flips and swaps of single terms, each compared by the evidence of its own fit.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, partial
 from typing import Any
@@ -232,10 +234,12 @@ class Fitted:
         Their values, the paths and the levels.
     evidence : float
         ln p(data, model), up to a constant.
+    value : float
+        ln p(data | levels).
     expand : callable
         Gives `quadratic`.
-    averages : (C,) array
-        What averaging over the size of each discrepancy makes of it.
+    averages : (C,) array or None
+        What averaging over the size of each discrepancy makes of it; None where its likeliest size is taken.
     tried : dict of bytes to float
         Evidence of the models that were fitted to be compared.
     power : float
@@ -245,8 +249,9 @@ class Fitted:
     model: Bools
     state: State
     evidence: float
+    value: float
     expand: Callable[[], Quadratic]
-    averages: Floats
+    averages: Floats | None = None
     tried: dict[bytes, float] = field(default_factory=dict)
     power: float = 1.0
 
@@ -256,9 +261,7 @@ class Fitted:
         return self.expand().raised(self.power)
 
 
-def fit(
-    task: Task, state: State, coarse: bool = False, further: bool = True, calm: int = 0, beside: Fitted | None = None
-) -> Fitted:
+def fit(task: Task, state: State, coarse: bool = False, calm: int = 0) -> Fitted:
     """Fit a model by Gauss-Newton steps; before each the levels are learned.
 
     Parameters
@@ -266,14 +269,9 @@ def fit(
     task, state : Task, State
         What is to be explained, and where the steps start.
     coarse : bool
-        Few steps only; the evidence is then that of the likeliest discrepancies, not averaged over their sizes.
-    further : bool
-        Whether the fit starts once more, from the likeliest size of each discrepancy, if the average over sizes finds a
-        likelier one: about a discrepancy of nearly zero the likelihood is flat, and a search stays there.
+        Few steps only.
     calm : int
         Number of first steps in which discrepancies keep their size.
-    beside : Fitted, optional
-        Equations with the same terms in this fit take its averages over sizes.
     """
     layout, precision = task.layout, task.precision_of(state)
     before, length, last, halved = -np.inf, np.inf, None, 0
@@ -298,22 +296,40 @@ def fit(
         if abs(found.value - before) < SETTLED and 0.5 * moved**2 < FLAT and step >= calm:
             break
         before = found.value
-    last_found = task.marginal(state, keep=False)
-    value = last_found.value
+    found = task.marginal(state, keep=False)
     # where steps go to and fro, what the next one promises is not kept; coarse fits have few steps, and are on the way
-    evidence = value if coarse else value - min(value - last_found.here, 0.5 * length**2)
-    model, averages = task.model(state.chosen), np.zeros(layout.chains)
-    if not coarse:
-        former = np.full(layout.chains, np.nan)
-        if beside is not None:
-            same = (beside.model == model).reshape(layout.chains, -1).all(axis=1)
-            former[same] = beside.averages[same]
-        averages, met = over_sizes(task.linearised(state), state, precision, value, former)
-        likelier = replace(state, levels=met)
-        if further and task.marginal(likelier, keep=False).value > value + FLAT:
-            return fit(task, likelier, further=False, beside=beside)
-        evidence += float(averages.sum())
-    return Fitted(model, state, evidence + task.prior(model), partial(expanded, task, state, curved), averages)
+    evidence = found.value if coarse else found.value - min(found.value - found.here, 0.5 * length**2)
+    model = task.model(state.chosen)
+    return Fitted(model, state, evidence + task.prior(model), found.value, partial(expanded, task, state, curved))
+
+
+def over_all_sizes(task: Task, fitted: Fitted, beside: Fitted | None = None) -> Fitted:
+    """The fit, or a likelier one, with its evidence averaged over the sizes of its discrepancies.
+
+    It starts once more from the likeliest size of each discrepancy if the average finds a likelier one: about a
+    discrepancy of nearly zero the likelihood is flat, and a search stays there. Equations with the same terms in a fit
+    `beside` take its averages.
+    """
+    averages = np.full(task.layout.chains, np.nan)
+    if beside is not None and beside.averages is not None:
+        same = (beside.model == fitted.model).reshape(len(averages), -1).all(axis=1)
+        averages[same] = beside.averages[same]
+    averages, likelier = _over_sizes(task, fitted, averages)
+    if likelier is not None:
+        own = fitted.state.levels.discrepancy
+        fitted = fit(task, likelier)
+        averages, _ = _over_sizes(task, fitted, np.where(likelier.levels.discrepancy == own, averages, np.nan))
+    return replace(fitted, evidence=fitted.evidence + float(averages.sum()), averages=averages)
+
+
+def _over_sizes(task: Task, fitted: Fitted, known: Floats) -> tuple[Floats, State | None]:
+    """Averages over the sizes of discrepancies, (C,), and the state with likelier ones if there are."""
+    state, own = fitted.state, fitted.state.levels.discrepancy
+    averages, met = over_sizes(task.linearised(state), state, task.precision_of(state), fitted.value, known)
+    likelier = replace(state, levels=met)
+    if (met.discrepancy == own).all() or not task.marginal(likelier, keep=False).value > fitted.value + FLAT:
+        return averages, None
+    return averages, likelier
 
 
 def expanded(task: Task, state: State, curved: Floats) -> Quadratic:
@@ -341,17 +357,20 @@ def calmed(state: State) -> State:
 def from_all_levels(task: Task, state: State, beside: Fitted | None = None) -> Fitted:
     """The likelier fit of a model of those that start from the levels as they are, and from less discrepancy.
 
-    Levels of another model may keep a discrepancy that nothing needs any more. `beside` as in `fit`.
+    Levels of another model may keep a discrepancy that nothing needs any more. `beside` as in `over_all_sizes`.
     """
-    found = [fit(task, state, beside=beside)]
-    if (state.levels.kappa < NOTICED).all():
-        return found[0]
-    much = bool((state.levels.kappa > LIKELIHOOD.explains_much).any())
-    try:
-        found.append(fit(task, calmed(state), calm=CALM_STEPS if much else 0, beside=beside))
-    except np.linalg.LinAlgError:
-        return found[0]
-    return max(found, key=lambda one: one.evidence)
+    best = fit(task, state)
+    if (state.levels.kappa >= NOTICED).any():
+        much = bool((state.levels.kappa > LIKELIHOOD.explains_much).any())
+        with suppress(np.linalg.LinAlgError):
+            calm = fit(task, calmed(state), calm=CALM_STEPS if much else 0)
+            best = max(best, calm, key=lambda one: one.evidence)
+    return over_all_sizes(task, best, beside)
+
+
+def finished(task: Task, fitted: Fitted) -> Fitted:
+    """A fit of the model, its evidence averaged over sizes; coarse ones are of a model on the way."""
+    return from_all_levels(task, fitted.state) if fitted.averages is None else fitted
 
 
 def roused(state: State) -> State:
@@ -520,7 +539,8 @@ def of_motion(task: Task, fitted: Fitted) -> float:
 def from_starts(task: Task, starts: Iterable[State | Callable[[], State | None]]) -> tuple[Task, Fitted]:
     """The likeliest fit that starts lead to, from the next one too where those before left a discrepancy.
 
-    A start may be what gives it, or None, when it is needed. A model that starts lead to again is not fitted again.
+    A start may be what gives it, or None, when it is needed. The first model is on the way if it leaves none; a model
+    that starts lead to again is not fitted again.
 
     Raises
     ------
@@ -537,6 +557,8 @@ def from_starts(task: Task, starts: Iterable[State | Callable[[], State | None]]
             key = best.model.tobytes()
             if key in settled:
                 continue
+            if not settled and best.state.levels.kappa.max() < LIKELIHOOD.adequate:
+                return there, best
             settled[key] = there, from_all_levels(there, best.state)
         except np.linalg.LinAlgError:
             continue
@@ -560,8 +582,7 @@ def search(task: Task, starts: Sequence[State]) -> tuple[Task, Fitted]:
 def resumed(task: Task, state: State) -> Fitted:
     """The best model of a task, looked for from a fit of some of its rows (`bayeq.likelihood.start.carried_over`)."""
     _, best = rounds(task, state, coarse=False)
-    if task.rows > MOST_TO_MOVE:
-        best = with_small_discrepancy(task, best)
+    best = over_all_sizes(task, with_small_discrepancy(task, best) if task.rows > MOST_TO_MOVE else best)
     task.recent.clear()
     return best
 
@@ -581,7 +602,7 @@ def among_neighbours(task: Task, best: Fitted) -> Fitted:
             if model.tobytes() in tried:
                 continue
             try:
-                other = fit(task, calmed(with_model(task, best, model)), beside=best)
+                other = over_all_sizes(task, fit(task, calmed(with_model(task, best, model))), best)
             except np.linalg.LinAlgError:
                 continue
             tried[model.tobytes()] = other.evidence

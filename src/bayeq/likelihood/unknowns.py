@@ -46,7 +46,7 @@ from bayeq.likelihood.fit import (
     maximised,
 )
 from bayeq.likelihood.layout import Candidates, Layout
-from bayeq.likelihood.search import COARSE, Fitted, Task, calmed, fit, settle
+from bayeq.likelihood.search import COARSE, Fitted, Task, calmed, finished, fit, over_all_sizes, settle
 from bayeq.likelihood.start import precision_of_terms
 from bayeq.numerics.normal import Z95
 from bayeq.states import Motion
@@ -156,7 +156,7 @@ def with_constants(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fi
     choices = _choices(terms)
     if not choices and not any(term.unknowns for term in terms):
         return task, fitted, {}
-    task, fitted = settled(motion, task, fitted)
+    task, fitted = settled(motion, task, finished(task, fitted))
     forms: dict[str, dict[str, float]] = {}
     for choice, members in choices.items():
         active = next((j for j in members if _is_active(task, j)), members[0])
@@ -401,7 +401,7 @@ def _moved(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fitted]:
         if farthest < NEAR:
             break
     task = _with_terms(motion, task, task.layout.terms)
-    return task, fit(task, state)
+    return task, over_all_sizes(task, fit(task, state))
 
 
 def joint_covariance(task: Task, state: State, power: float = 1.0) -> tuple[Floats, tuple[ConstantEstimate, ...]]:
