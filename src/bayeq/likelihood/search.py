@@ -91,8 +91,9 @@ NOTICED, ITS_MEMORY = 0.01, 0.7
 FLAT = 0.5
 
 # Steps between samples are halved, up to this number, until this share of them errs by less than STEP_ERROR of the
-# standard deviation of each state; the others may hold a jump.
-MOST_SUBSTEPS, SMOOTH_STEPS, STEP_ERROR = 8, 0.98, 1e-5
+# standard deviation of each state, a tenth of the least noise: what is more looks like a term where there is no noise.
+# The others may hold a jump.
+MOST_SUBSTEPS, SMOOTH_STEPS, STEP_ERROR = 8, 0.98, 1e-6
 
 
 @dataclass(frozen=True, eq=False)
