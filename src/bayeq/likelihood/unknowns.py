@@ -46,7 +46,7 @@ from bayeq.likelihood.fit import (
     maximised,
 )
 from bayeq.likelihood.layout import Candidates, Layout
-from bayeq.likelihood.search import COARSE, Fitted, Task, calmed, finished, fit, over_all_sizes, settle
+from bayeq.likelihood.search import COARSE, MOST_HALVED, Fitted, Task, calmed, finished, fit, over_all_sizes, settle
 from bayeq.likelihood.start import precision_of_terms
 from bayeq.numerics.normal import Z95
 from bayeq.states import Motion
@@ -195,7 +195,7 @@ def _elsewhere(motion: Motion, task: Task, fitted: Fitted, family: Sequence[int]
     now = {name: one.value for j in family for name, one in task.layout.terms[j].unknowns.items()}
     here, *others = _on_gram(task, fitted, family, [now, *_by_rows(task, motion, family)[:TRIED]])
     best = max(others, key=lambda one: one.score)
-    if best.score < here.score + BETTER:
+    if not best.score >= here.score + BETTER:
         return task, fitted
     try:
         other = settle(*_at(motion, task, fitted, best))
@@ -231,7 +231,7 @@ def _at(motion: Motion, task: Task, fitted: Fitted, node: _Node) -> tuple[Task, 
 
 
 def _on_gram(task: Task, fitted: Fitted, family: Sequence[int], values: Sequence[Mapping[str, float]]) -> list[_Node]:
-    """What the likelihood about a fit makes of other values of a family's constants.
+    """What the likelihood about a fit makes of other values of a family's constants; nothing where it is not finite.
 
     Beside each term stand its derivatives by its constants, so that a node of a grid covers its neighbourhood.
     """
@@ -253,7 +253,11 @@ def _on_gram(task: Task, fitted: Fitted, family: Sequence[int], values: Sequence
         known = odds[at].reshape(C, -1)
         known[:, P + 1 :] = np.where(known[:, P + 1 :] > -np.inf, np.inf, -np.inf)
         own = replace(task, precision=precision[at], log_odds=known.ravel(), recent=[])
-        problem = own.problem(Quadratic(q.level, q.slope[at], q.information[np.ix_(at, at)]))
+        try:
+            problem = own.problem(Quadratic(q.level, q.slope[at], q.information[np.ix_(at, at)]))
+        except np.linalg.LinAlgError:
+            out.append(_Node(one, -math.inf, np.zeros(C * (P + 1), dtype=np.bool_), np.zeros(0)))
+            continue
         score, model = best_models(problem)[0]
         coef, _ = exact_posterior(problem, model, None)
         theta = (coef / np.sqrt(own.precision)).reshape(C, -1)
@@ -371,37 +375,68 @@ def _with_tangents(task: Task, state: State) -> tuple[Task, State, list[_Tangent
 
 
 def _moved(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fitted]:
-    """The fit with its constants moved to where they are likeliest."""
-    state = fitted.state
-    if not _tangents(task.layout, state.chosen, state.theta):
+    """The fit with its constants moved to where they are likeliest, if the likelihood is finite on the way.
+
+    Steps to where it is not are halved.
+    """
+    if not _tangents(task.layout, fitted.state.chosen, fitted.state.theta):
         return task, fitted
-    for _ in range(STEPS):
-        own, wide, tangents, precision = _with_tangents(task, state)
-        count = len(tangents)
-        linears = own.linearised(wide)
-        levels, found = maximised(linears, wide, precision, **COARSE)
-        wide, _ = improved(own.layout, task.series, linears, replace(wide, levels=levels), found)
-        sd = np.sqrt(np.diagonal(found.covariance)[-count:])
-        constants, farthest = constants_of(task.layout.terms), 0.0
-        values = {}
-        for name in {one.name for one in tangents}:
-            constant = constants[name]
-            at = np.array([k for k, one in enumerate(tangents) if one.name == name])
-            weight = sd[at] ** -2.0
-            step = float(wide.theta[len(state.theta) + at] @ weight / weight.sum())
-            most = FARTHEST * _range(constant)
-            step = min(max(step, -most), most)
-            place = to_scale(constant, constant.value)
-            values[name] = _bounded(constant, place + step)
-            moved = abs(to_scale(constant, values[name]) - place)
-            farthest = max(farthest, moved * math.sqrt(float(weight.sum())))
-        chosen, theta = state.chosen, wide.theta[: len(state.theta)]
-        task = replace(task, layout=replace(task.layout, terms=_with(task.layout.terms, values)), recent=[])
-        state = replace(_fresh(wide, task.layout), chosen=chosen, theta=theta)
-        if farthest < NEAR:
-            break
-    task = _with_terms(motion, task, task.layout.terms)
-    return task, over_all_sizes(task, fit(task, state))
+    now, last, halved = (task, fitted.state), None, 0
+    try:
+        for _ in range(STEPS):
+            try:
+                then, farthest = _step(*now)
+            except np.linalg.LinAlgError:
+                halved += 1
+                if last is None or halved > MOST_HALVED:
+                    raise
+                now = _halfway(last, now)
+                continue
+            last, now = now, then
+            if farthest < NEAR:
+                break
+        own = _with_terms(motion, now[0], now[0].layout.terms)
+        return own, over_all_sizes(own, fit(own, now[1]))
+    except np.linalg.LinAlgError:
+        return task, fitted
+
+
+def _step(task: Task, state: State) -> tuple[tuple[Task, State], float]:
+    """A Gauss-Newton step of a fit and its constants; how far the farthest of these goes, in standard deviations."""
+    own, wide, tangents, precision = _with_tangents(task, state)
+    count = len(tangents)
+    linears = own.linearised(wide)
+    levels, found = maximised(linears, wide, precision, **COARSE)
+    wide, _ = improved(own.layout, task.series, linears, replace(wide, levels=levels), found)
+    sd = np.sqrt(np.diagonal(found.covariance)[-count:])
+    constants, farthest = constants_of(task.layout.terms), 0.0
+    values = {}
+    for name in {one.name for one in tangents}:
+        constant = constants[name]
+        at = np.array([k for k, one in enumerate(tangents) if one.name == name])
+        weight = sd[at] ** -2.0
+        step = float(wide.theta[len(state.theta) + at] @ weight / weight.sum())
+        most = FARTHEST * _range(constant)
+        step = min(max(step, -most), most)
+        place = to_scale(constant, constant.value)
+        values[name] = _bounded(constant, place + step)
+        moved = abs(to_scale(constant, values[name]) - place)
+        farthest = max(farthest, moved * math.sqrt(float(weight.sum())))
+    return _at_values(task, replace(wide, chosen=state.chosen, theta=wide.theta[: len(state.theta)]), values), farthest
+
+
+def _at_values(task: Task, state: State, values: Mapping[str, float]) -> tuple[Task, State]:
+    """The task and a state for other values of the constants; priors stay."""
+    task = replace(task, layout=replace(task.layout, terms=_with(task.layout.terms, values)), recent=[])
+    return task, _fresh(state, task.layout)
+
+
+def _halfway(last: tuple[Task, State], now: tuple[Task, State]) -> tuple[Task, State]:
+    """Halfway from where a fit with constants stands to where it stood."""
+    before, after = (constants_of(task.layout.terms) for task, _ in (last, now))
+    places = {name: [to_scale(one, one.value) for one in (before[name], after[name])] for name in after}
+    values = {name: to_plain(after[name], 0.5 * sum(both)) for name, both in places.items()}
+    return _at_values(now[0], now[1].halfway(last[1]), values)
 
 
 def joint_covariance(task: Task, state: State, power: float = 1.0) -> tuple[Floats, tuple[ConstantEstimate, ...]]:
