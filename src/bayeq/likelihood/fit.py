@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dpotrf, dpotrs
 
 from bayeq.arrays import Floats
 from bayeq.likelihood.adjoint import Adjoint, adjoint
@@ -23,6 +24,9 @@ MOST_HALVED = 8
 
 # The likelihood is level where it changes by less from a size to the next [nats], and nothing this far below the top.
 LEVEL, NOTHING_LEFT = 0.01, 30.0
+
+# Matrices of unit diagonal with a pivot of no more than this may be singular.
+LEAST_PIVOT = 1e-4
 
 # Levels move by no more than this in a step, of logarithms mostly.
 LONGEST = 2.0
@@ -163,7 +167,13 @@ def solved(A: Floats, B: Floats) -> Floats:
     unit = 1.0 / np.sqrt(np.diagonal(A))
     if not np.isfinite(unit).all():
         raise np.linalg.LinAlgError("no positive matrix")
-    return np.asarray((np.linalg.lstsq(A * unit[:, None] * unit, (B.T * unit).T, rcond=1e-13)[0].T * unit).T)
+    A, B = A * unit[:, None] * unit, (B.T * unit).T
+    root, info = dpotrf(A, lower=True) if len(A) else (A, 1)
+    if info == 0 and np.diagonal(root).min() > LEAST_PIVOT:
+        found = dpotrs(root, B, lower=True)[0]
+    else:
+        found = np.linalg.lstsq(A, B, rcond=1e-13)[0]
+    return np.asarray((found.T * unit).T)
 
 
 def marginal(

@@ -275,7 +275,8 @@ def _others(related: NDArray[np.bool_]) -> Ints:
     """In each row the number of entries off the diagonal, then their columns."""
     out = np.zeros(related.shape, dtype=np.int64)
     for i, row in enumerate(related):
-        others = np.setdiff1d(np.flatnonzero(row), [i])
+        others = np.flatnonzero(row)
+        others = others[others != i]
         out[i, 0], out[i, 1 : 1 + len(others)] = len(others), others
     return out
 

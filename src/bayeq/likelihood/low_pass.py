@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -48,6 +49,7 @@ def feedback(order: int, corner: float, intervals: Floats) -> Floats:
     return np.array([_feedback(order, corner * h)[0] * h ** np.arange(1.0 - order, 1.0) for h in different])[which]
 
 
+@lru_cache(maxsize=256)
 def _feedback(order: int, corner: float) -> tuple[Floats, Floats]:
     """`feedback` of steps of length 1, and the transition matrix (p, p) of the states from one to the next."""
     poles = np.exp(corner * np.exp(1j * math.pi * (2.0 * np.arange(order) + order + 1.0) / (2.0 * order)))

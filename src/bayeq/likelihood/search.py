@@ -360,13 +360,15 @@ def from_all_levels(task: Task, state: State, beside: Fitted | None = None) -> F
 
     Levels of another model may keep a discrepancy that nothing needs any more. `beside` as in `over_all_sizes`.
     """
-    best = fit(task, state)
+    first = fit(task, state)
     if (state.levels.kappa >= NOTICED).any():
         much = bool((state.levels.kappa > LIKELIHOOD.explains_much).any())
         with suppress(np.linalg.LinAlgError):
             calm = fit(task, calmed(state), calm=CALM_STEPS if much else 0)
-            best = max(best, calm, key=lambda one: one.evidence)
-    return over_all_sizes(task, best, beside)
+            if abs(calm.evidence - first.evidence) >= FLAT:  # another maximum
+                both = [over_all_sizes(task, one, beside) for one in (first, calm)]
+                return max(both, key=lambda one: one.evidence)
+    return over_all_sizes(task, first, beside)
 
 
 def finished(task: Task, fitted: Fitted) -> Fitted:
