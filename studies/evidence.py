@@ -20,7 +20,7 @@ import numpy as np
 from bayeq.discovery import discover
 from bayeq.errors import BayeqWarning
 from bayeq.likelihood import record_fit
-from bayeq.likelihood.search import of_motion
+from bayeq.likelihood.model import of_motion
 from studies.numbers_records import draw_sign_oscillator
 from studies.resumable import Cell, Outcome, run_study
 

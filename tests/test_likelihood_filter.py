@@ -16,7 +16,7 @@ from bayeq.likelihood.fit import State, adjoints, corrections, linearised, log_m
 from bayeq.likelihood.layout import Candidates, Layout, Series
 from bayeq.likelihood.levels import Levels, Scales
 from bayeq.likelihood.linear import sources_of
-from bayeq.likelihood.search import Task
+from bayeq.likelihood.model import Task
 from bayeq.states import Roles
 
 from . import reference

@@ -19,7 +19,7 @@ from bayeq.arrays import Floats
 from bayeq.likelihood.filter import run_filter
 from bayeq.likelihood.fit import State, adjoints, maximised, of_inputs
 from bayeq.likelihood.levels import Levels
-from bayeq.likelihood.search import Fitted, Task
+from bayeq.likelihood.model import Fitted, Task
 from bayeq.likelihood.settings import LIKELIHOOD
 from bayeq.numerics.beta import incomplete_beta
 from bayeq.numerics.normal import Z95

@@ -19,8 +19,8 @@ from bayeq.likelihood.fit import Quadratic, State, Statistics, adjoints, coeffic
 from bayeq.likelihood.layout import NOTHING
 from bayeq.likelihood.linear import Linear
 from bayeq.likelihood.low_pass import SEGMENT, of_segments, periodograms
+from bayeq.likelihood.model import Task
 from bayeq.likelihood.projection import LEAST_ROWS, batched, time_around
-from bayeq.likelihood.search import Task
 from bayeq.likelihood.settings import LIKELIHOOD
 from bayeq.likelihood.start import series_and_paths, with_spectra
 from bayeq.states import MotionRows

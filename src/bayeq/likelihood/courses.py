@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from bayeq.likelihood.fit import State, of_inputs
-from bayeq.likelihood.search import CLEARLY, FLAT, Fitted, Task, calmed, fit, of_motion, on_the_way
+from bayeq.likelihood.model import FLAT, Fitted, Task, calmed, fit, of_motion
+from bayeq.likelihood.search import CLEARLY, on_the_way
 from bayeq.likelihood.settings import LIKELIHOOD
 from bayeq.likelihood.start import with_courses
 from bayeq.states import Motion

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dpotrf, dpotrs
 
 from bayeq.arrays import Floats
 from bayeq.likelihood.adjoint import Adjoint, adjoint
@@ -168,11 +167,11 @@ def solved(A: Floats, B: Floats) -> Floats:
     if not np.isfinite(unit).all():
         raise np.linalg.LinAlgError("no positive matrix")
     A, B = A * unit[:, None] * unit, (B.T * unit).T
-    root, info = dpotrf(A, lower=True) if len(A) else (A, 1)
-    if info == 0 and np.diagonal(root).min() > LEAST_PIVOT:
-        found = dpotrs(root, B, lower=True)[0]
-    else:
-        found = np.linalg.lstsq(A, B, rcond=1e-13)[0]
+    try:
+        singular = np.diagonal(np.linalg.cholesky(A)).min(initial=1.0) <= LEAST_PIVOT
+    except np.linalg.LinAlgError:
+        singular = True
+    found = np.linalg.lstsq(A, B, rcond=1e-13)[0] if singular else np.linalg.solve(A, B)
     return np.asarray((found.T * unit).T)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from bayeq.dictionary import evaluate_terms
 from bayeq.expressions import Expression
 from bayeq.likelihood.fit import State
-from bayeq.likelihood.search import Task
+from bayeq.likelihood.model import Task
 from bayeq.states import Lag, Motion
 
 # Lags of inputs are first sought among whole samples, up to this many standard deviations, this many of them each way

@@ -14,7 +14,7 @@ import numpy as np
 
 from bayeq.arrays import Floats
 from bayeq.likelihood.filter import Filtered
-from bayeq.likelihood.search import Fitted, Task
+from bayeq.likelihood.model import Fitted, Task
 from bayeq.likelihood.settings import LIKELIHOOD
 
 

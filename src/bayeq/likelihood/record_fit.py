@@ -23,21 +23,10 @@ from bayeq.likelihood.hidden import with_found_laws
 from bayeq.likelihood.lags import lags_of
 from bayeq.likelihood.layout import Stated
 from bayeq.likelihood.levels import LEAST_NOISE
+from bayeq.likelihood.model import Fitted, Task, finished, fit, from_all_levels, of_motion, with_model
 from bayeq.likelihood.power import power_of
 from bayeq.likelihood.projection import Leftover, leftover
-from bayeq.likelihood.search import (
-    Fitted,
-    Task,
-    among_neighbours,
-    finished,
-    fit,
-    from_all_levels,
-    from_starts,
-    of_motion,
-    resumed,
-    search,
-    with_model,
-)
+from bayeq.likelihood.search import among_neighbours, from_starts, resumed, search
 from bayeq.likelihood.settings import LIKELIHOOD
 from bayeq.likelihood.spike import Nearly, Soft, among_fitted, averaged, of_gram, soft_of
 from bayeq.likelihood.start import carried_over, series_and_paths, start_from

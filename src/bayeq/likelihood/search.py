@@ -13,51 +13,28 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field, replace
-from functools import cache, cached_property, partial
-from typing import Any
+from dataclasses import replace
+from functools import cache, partial
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bayeq.arrays import Bools, Floats
-from bayeq.gram import Gram
-from bayeq.inference.collapsed.conditional import exact_posterior
-from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import best_models, neighbours
-from bayeq.inference.prior import Prior
-from bayeq.likelihood.fit import (
-    Quadratic,
-    State,
-    Statistics,
-    improved,
-    information,
-    linearised,
-    marginal,
-    maximised,
-    of_inputs,
-    over_sizes,
-    solved,
+from bayeq.likelihood.fit import State
+from bayeq.likelihood.model import (
+    Fitted,
+    Task,
+    calmed,
+    finer,
+    fit,
+    from_all_levels,
+    over_all_sizes,
+    with_model,
+    with_small_discrepancy,
 )
-from bayeq.likelihood.flows import Flows
-from bayeq.likelihood.layout import Candidates, Layout, Series
-from bayeq.likelihood.linear import Linear
 from bayeq.likelihood.settings import LIKELIHOOD
 
-# Linearisations until the support stays, and Gauss-Newton steps about each support.
+# Linearisations until the support stays.
 ROUNDS = 8
-STEPS = 2
-
-# Steps and tolerance of the search for the levels about models that are on the way.
-COARSE: dict[str, Any] = {"steps": 15, "tolerance": 1e-2, "steepest": 0.1}
-
-# A fit has converged when its evidence changes by less [nats]; steps at most.
-SETTLED = 0.05
-MOST_STEPS = 12
-
-# Gauss-Newton steps to where the likelihood is not finite are halved, at most this often in a fit.
-MOST_HALVED = 4
 
 # Shares of the candidates that are looked at first, the smallest expressions of them.
 SIMPLEST = (0.25, 0.5)
@@ -74,326 +51,8 @@ MOST_TO_MOVE = 100_000
 # Moves to a neighbour, at most.
 MOVES = 5
 
-# A discrepancy that explained much is tried at this share of the target, and held there for some steps, while path and
-# coefficients find each other.
-HARDLY_ANY, CALM_STEPS = 1e-3, 3
-
 # Factors by which the variance of coefficients' priors may be wider, where that is likelier by this many nats.
 WIDER, CLEARLY = (10.0, 100.0), 3.0
-
-# Noise of known variance: as if estimated from this many times the record's samples.
-KNOWN = 1e4
-
-# The likelihood is flat near zero discrepancy, so that a search stays there: of many samples a fit is compared with one
-# that starts from a discrepancy of this share of its target, and this memory. If that is as likely it is taken: from
-# there more rows lead to less of it as well as to more. One that begins worse by FLAT nats is dropped.
-NOTICED, ITS_MEMORY = 0.01, 0.7
-FLAT = 0.5
-
-# Steps between samples are halved, up to this number, until this share of them errs by less than STEP_ERROR of the
-# standard deviation of each state, a tenth of the least noise: what is more looks like a term where there is no noise.
-# The others may hold a jump.
-MOST_SUBSTEPS, SMOOTH_STEPS, STEP_ERROR = 8, 0.98, 1e-6
-
-
-@dataclass(frozen=True, eq=False)
-class Task:
-    """Records to be explained, candidates, and their prior.
-
-    Attributes
-    ----------
-    layout : Layout
-        States and candidates.
-    series : tuple of Series
-        The records.
-    precision : (C (P + 1),) array
-        1/variance of each coefficient's prior, were it not zero.
-    log_odds : (C (P + 1),) array
-        Of each coefficient not being zero.
-    substeps : int
-        Runge-Kutta steps between two samples.
-    counted : float or None
-        Number of samples that the likelihood is of, where the series are some of them only.
-    tolerance : float or None
-        See `bayeq.discover`.
-    ranges : (C (P + 1),) array or None
-        What the log odds have lost to the ranges of constants inside terms.
-    flows : Flows or None
-        What models are selected from, where a sum of states is conserved.
-    recent : list
-        The last two linearisations and what they are of: fits go on from where others have stood.
-    """
-
-    layout: Layout
-    series: tuple[Series, ...]
-    precision: Floats
-    log_odds: Floats
-    substeps: int = 1
-    counted: float | None = None
-    tolerance: float | None = None
-    ranges: Floats | None = None
-    flows: Flows | None = None
-    recent: list[tuple[tuple[object, ...], list[Linear]]] = field(default_factory=list, repr=False)
-
-    def linearised(self, state: State) -> list[Linear]:
-        """Every record linearised where a fit stands."""
-        about = (self.layout, self.series, self.substeps, state.chosen, state.theta, state.paths, state.blurs)
-        for other, linears in self.recent:
-            if all(one is another for one, another in zip(other, about, strict=True)):
-                return linears
-        del self.recent[:-1]
-        self.recent.append((about, linearised(self.layout, self.series, state, self.substeps)))
-        return self.recent[-1][1]
-
-    def precision_of(self, state: State) -> Floats:
-        """1/variance of the prior of each coefficient of a fit, (r,)."""
-        return self.precision[self.number(state.chosen)]
-
-    def marginal(self, state: State, keep: bool = True) -> Statistics:
-        """The likelihood where a fit stands, its coefficients integrated out; `keep` as in `run_filter`."""
-        return marginal(self.linearised(state), state, state.levels, self.precision_of(state), keep)
-
-    def value(self, state: State) -> float:
-        """ln p(data | levels) where a fit stands; -inf where that is far from any motion."""
-        try:
-            return self.marginal(state, keep=False).value
-        except np.linalg.LinAlgError:
-            return -math.inf
-
-    @property
-    def rows(self) -> float:
-        """Number of samples."""
-        if self.counted is not None:
-            return self.counted
-        return float(sum(np.isfinite(one.samples).sum() for one in self.series))
-
-    def number(self, chosen: Candidates) -> NDArray[np.int64]:
-        """Indices of coefficients among those of all equations."""
-        return chosen.chain * (len(self.layout.terms) + 1) + chosen.term
-
-    def model(self, chosen: Candidates) -> Bools:
-        """The model, (C (P + 1),) bool, in which these coefficients are not zero."""
-        out = np.zeros(len(self.precision), dtype=np.bool_)
-        out[self.number(chosen)] = True
-        return out
-
-    def prior(self, model: Bools) -> float:
-        """Log prior of a model, up to a constant."""
-        odds, chosen, share = self.log_odds, model, 0.0
-        if self.flows is not None:
-            odds, chosen = self.flows.log_odds(odds), self.flows.narrow(model)
-            share = self.flows.log_share(self.layout.stated, self.precision, model)
-        return float(odds[chosen & np.isfinite(odds)].sum()) - share
-
-    @cached_property
-    def known(self) -> Prior:
-        """The prior of coefficients in units of their own prior's standard deviation, noise of variance 1."""
-        return Prior(slab_variance=1.0, prior_inclusion=1.0 / (1.0 + np.exp(-self.log_odds)))
-
-    @cached_property
-    def selected(self) -> Prior:
-        """The same of what models are selected from."""
-        if self.flows is None:
-            return self.known
-        return Prior(slab_variance=1.0, prior_inclusion=1.0 / (1.0 + np.exp(-self.flows.log_odds(self.log_odds))))
-
-    def wide(self, model: Bools) -> Bools:
-        """The coefficients of a model that was selected."""
-        return model if self.flows is None else self.flows.wide(model)
-
-    def narrow(self, model: Bools) -> Bools:
-        """The opposite of `wide`."""
-        return model if self.flows is None else self.flows.narrow(model)
-
-    def gram(self, q: Quadratic) -> Gram:
-        """The likelihood of all that models are selected from, in those units: a regression of known noise, about."""
-        precision, information, slope = self.precision, q.information, q.slope
-        if self.flows is not None:
-            precision, F = self.flows.precision(precision), self.flows.matrix
-            information, slope = F.T @ information @ F, F.T @ slope
-        scale = 1.0 / np.sqrt(precision)
-        DtD = information * scale[:, None] * scale
-        Dty = slope * scale
-        rows = KNOWN * self.rows
-        names = tuple(map(str, range(len(Dty))))
-        return Gram(names, rows, np.zeros(len(Dty)), 0.0, DtD, Dty, float(Dty @ solved(DtD, Dty)) + rows, rows)
-
-    def problem(self, q: Quadratic) -> Problem:
-        """The regression that models are compared on."""
-        return Problem.of(self.gram(q), self.selected)
-
-
-@dataclass(frozen=True, eq=False)
-class Fitted:
-    """A model fitted.
-
-    Attributes
-    ----------
-    model : (C (P + 1),) bool array
-        Coefficients that are not zero.
-    state : State
-        Their values, the paths and the levels.
-    evidence : float
-        ln p(data, model), up to a constant.
-    value : float
-        ln p(data | levels).
-    expand : callable
-        Gives `quadratic`.
-    averages : (C,) array or None
-        What averaging over the size of each discrepancy makes of it; None where its likeliest size is taken.
-    tried : dict of bytes to float
-        Evidence of the models that were fitted to be compared.
-    power : float
-        That `quadratic` is raised to (`bayeq.likelihood.power`).
-    """
-
-    model: Bools
-    state: State
-    evidence: float
-    value: float
-    expand: Callable[[], Quadratic]
-    averages: Floats | None = None
-    tried: dict[bytes, float] = field(default_factory=dict)
-    power: float = 1.0
-
-    @cached_property
-    def quadratic(self) -> Quadratic:
-        """The likelihood of all candidates about the fit, computed when it is first asked for."""
-        return self.expand().raised(self.power)
-
-
-def fit(task: Task, state: State, coarse: bool = False, calm: int = 0) -> Fitted:
-    """Fit a model by Gauss-Newton steps; before each the levels are learned.
-
-    Parameters
-    ----------
-    task, state : Task, State
-        What is to be explained, and where the steps start.
-    coarse : bool
-        Few steps only.
-    calm : int
-        Number of first steps in which discrepancies keep their size.
-    """
-    layout, precision = task.layout, task.precision_of(state)
-    before, length, last, halved = -np.inf, np.inf, None, 0
-    for step in range(STEPS if coarse else MOST_STEPS + calm):
-        held = state.levels.optional if step < calm else None
-        while True:
-            linears = task.linearised(state)
-            try:
-                levels, found = maximised(linears, state, precision, held, **(COARSE if coarse else {}))
-                break
-            except np.linalg.LinAlgError:
-                halved += 1
-                if last is None or halved > MOST_HALVED:
-                    raise
-                state = last.halfway(state)
-        last = state
-        state, curved = improved(layout, task.series, linears, replace(state, levels=levels), found)
-        moved = float(np.linalg.norm(np.linalg.solve(np.linalg.cholesky(found.covariance), state.theta - last.theta)))
-        if moved > length:  # to and fro, further each time
-            state = state.halfway(last)
-        length = moved
-        if abs(found.value - before) < SETTLED and 0.5 * moved**2 < FLAT and step >= calm:
-            break
-        before = found.value
-    found = task.marginal(state, keep=False)
-    # where steps go to and fro, what the next one promises is not kept; coarse fits have few steps, and are on the way
-    evidence = found.value if coarse else found.value - min(found.value - found.here, 0.5 * length**2)
-    model = task.model(state.chosen)
-    return Fitted(model, state, evidence + task.prior(model), found.value, partial(expanded, task, state, curved))
-
-
-def over_all_sizes(task: Task, fitted: Fitted, beside: Fitted | None = None) -> Fitted:
-    """The fit, or a likelier one, with its evidence averaged over the sizes of its discrepancies.
-
-    It starts once more from the likeliest size of each discrepancy if the average finds a likelier one: about a
-    discrepancy of nearly zero the likelihood is flat, and a search stays there. Equations with the same terms in a fit
-    `beside` take its averages.
-    """
-    averages = np.full(task.layout.chains, np.nan)
-    if beside is not None and beside.averages is not None:
-        same = (beside.model == fitted.model).reshape(len(averages), -1).all(axis=1)
-        averages[same] = beside.averages[same]
-    averages, likelier = _over_sizes(task, fitted, averages)
-    if likelier is not None:
-        own = fitted.state.levels.discrepancy
-        fitted = fit(task, likelier)
-        averages, _ = _over_sizes(task, fitted, np.where(likelier.levels.discrepancy == own, averages, np.nan))
-    return replace(fitted, evidence=fitted.evidence + float(averages.sum()), averages=averages)
-
-
-def _over_sizes(task: Task, fitted: Fitted, known: Floats) -> tuple[Floats, State | None]:
-    """Averages over the sizes of discrepancies, (C,), and the state with likelier ones if there are."""
-    state, own = fitted.state, fitted.state.levels.discrepancy
-    averages, met = over_sizes(task.linearised(state), state, task.precision_of(state), fitted.value, known)
-    likelier = replace(state, levels=met)
-    if (met.discrepancy == own).all() or not task.marginal(likelier, keep=False).value > fitted.value + FLAT:
-        return averages, None
-    return averages, likelier
-
-
-def expanded(task: Task, state: State, curved: Floats) -> Quadratic:
-    """The likelihood of all candidates about a fit that has converged."""
-    return information(task.layout, task.linearised(state), state, curved)
-
-
-def with_model(task: Task, fitted: Fitted, model: Bools) -> State:
-    """A start for another model: its coefficients as the Gram gives them, the path and levels of the fit."""
-    coef, _ = exact_posterior(task.problem(fitted.quadratic), task.narrow(model), None)
-    if task.flows is None:
-        theta = coef[model] / np.sqrt(task.precision[model])
-    else:
-        theta = (task.flows.matrix @ (coef / np.sqrt(task.flows.precision(task.precision))))[model]
-    return replace(fitted.state, chosen=task.layout.everything.take(np.flatnonzero(model)), theta=theta)
-
-
-def calmed(state: State) -> State:
-    """The state with smaller discrepancies: with hardly any where they explain much of the motion."""
-    levels = state.levels
-    kappa = np.where(levels.kappa > LIKELIHOOD.explains_much, HARDLY_ANY, levels.kappa / LIKELIHOOD.calmed)
-    return replace(state, levels=replace(levels, discrepancy=kappa**2 * levels.target))
-
-
-def from_all_levels(task: Task, state: State, beside: Fitted | None = None) -> Fitted:
-    """The likelier fit of a model of those that start from the levels as they are, and from less discrepancy.
-
-    Levels of another model may keep a discrepancy that nothing needs any more. `beside` as in `over_all_sizes`.
-    """
-    first = fit(task, state)
-    if (state.levels.kappa >= NOTICED).any():
-        much = bool((state.levels.kappa > LIKELIHOOD.explains_much).any())
-        with suppress(np.linalg.LinAlgError):
-            calm = fit(task, calmed(state), calm=CALM_STEPS if much else 0)
-            if abs(calm.evidence - first.evidence) >= FLAT:  # another maximum
-                both = [over_all_sizes(task, one, beside) for one in (first, calm)]
-                return max(both, key=lambda one: one.evidence)
-    return over_all_sizes(task, first, beside)
-
-
-def finished(task: Task, fitted: Fitted) -> Fitted:
-    """A fit of the model, its evidence averaged over sizes; coarse ones are of a model on the way."""
-    return from_all_levels(task, fitted.state) if fitted.averages is None else fitted
-
-
-def roused(state: State) -> State:
-    """The state with vanishing discrepancies raised to a size that a search moves."""
-    levels = state.levels
-    hardly = levels.kappa < NOTICED
-    discrepancy = np.where(hardly, NOTICED**2 * levels.target, levels.discrepancy)
-    memory = np.where(hardly, ITS_MEMORY, levels.memory)
-    return replace(state, levels=replace(levels, discrepancy=discrepancy, memory=memory, hessian=None))
-
-
-def with_small_discrepancy(task: Task, best: Fitted) -> Fitted:
-    """The fit, or one of the same model with some discrepancy that is as likely or likelier."""
-    if not (best.state.levels.kappa < NOTICED).any():
-        return best
-    before, state = task.marginal(best.state, keep=False).value, fit(task, roused(best.state), coarse=True).state
-    if task.marginal(state, keep=False).value < before - FLAT:
-        return best
-    again = fit(task, state)
-    return again if task.marginal(again.state, keep=False).value > before - SETTLED else best
 
 
 def widened(task: Task, fitted: Fitted) -> Task:
@@ -517,26 +176,6 @@ def from_the_simplest(task: Task, empty: State) -> State | None:
         if state.levels.kappa.max() < LIKELIHOOD.adequate:
             break
     return state
-
-
-def finer(task: Task, state: State) -> Task:
-    """The task with as many Runge-Kutta steps between samples as its motion, and the columns of its terms, need."""
-    spread = np.sqrt(state.levels.scales.variance[: task.layout.motion])
-    while task.substeps < MOST_SUBSTEPS and task.layout.motion and not task.layout.discrete:
-        twice = replace(task, substeps=2 * task.substeps)
-        pairs = list(zip(task.linearised(state), twice.linearised(state), strict=True))
-        ends = [np.abs(a.end - b.end)[:, : task.layout.motion] for a, b in pairs]
-        parts = [np.abs((a.sources - b.sources) * state.theta).max(axis=2, initial=0.0) for a, b in pairs]
-        missed = np.maximum(np.concatenate(ends), np.concatenate(parts)) / spread
-        if np.quantile(np.where(np.isfinite(missed), missed, np.inf), SMOOTH_STEPS) <= STEP_ERROR:
-            break
-        task = twice
-    return task
-
-
-def of_motion(task: Task, fitted: Fitted) -> float:
-    """ln p(data, model) less what the samples of inputs have in it: of the motion, given the inputs."""
-    return fitted.evidence - of_inputs(task.linearised(fitted.state), fitted.state.levels)
 
 
 def from_starts(task: Task, starts: Iterable[State | Callable[[], State | None]]) -> tuple[Task, Fitted]:

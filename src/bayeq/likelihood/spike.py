@@ -36,7 +36,7 @@ from bayeq.likelihood.fit import (
     solved,
 )
 from bayeq.likelihood.layout import Layout
-from bayeq.likelihood.search import Fitted, Task
+from bayeq.likelihood.model import Fitted, Task
 from bayeq.likelihood.settings import LIKELIHOOD
 
 Sizes = tuple[float, ...]

@@ -24,7 +24,7 @@ from bayeq.likelihood.flows import Flows
 from bayeq.likelihood.layout import NOTHING, Candidates, Course, Layout, Series, Stated
 from bayeq.likelihood.levels import LEAST_COURSE, LEAST_NOISE, Levels, Scales
 from bayeq.likelihood.low_pass import Spectrum, mean_spectrum, spectrum_of, step_variance
-from bayeq.likelihood.search import Fitted, Task
+from bayeq.likelihood.model import Fitted, Task
 from bayeq.likelihood.settings import LIKELIHOOD
 from bayeq.likelihood.unequal import in_proportion
 from bayeq.ode.rk4 import interpolant, with_time

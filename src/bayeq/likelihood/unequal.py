@@ -17,7 +17,7 @@ from bayeq.arrays import Floats
 from bayeq.likelihood.filter import run_filter
 from bayeq.likelihood.fit import State
 from bayeq.likelihood.layout import Layout, Series
-from bayeq.likelihood.search import Task, fit
+from bayeq.likelihood.model import Task, fit
 from bayeq.states import Sensors
 
 # Degrees of freedom that are compared; infinitely many are Gaussian noise.

@@ -46,7 +46,8 @@ from bayeq.likelihood.fit import (
     maximised,
 )
 from bayeq.likelihood.layout import Candidates, Layout
-from bayeq.likelihood.search import COARSE, MOST_HALVED, Fitted, Task, calmed, finished, fit, over_all_sizes, settle
+from bayeq.likelihood.model import COARSE, MOST_HALVED, Fitted, Task, calmed, finished, fit, over_all_sizes
+from bayeq.likelihood.search import settle
 from bayeq.likelihood.start import precision_of_terms
 from bayeq.numerics.normal import Z95
 from bayeq.states import Motion

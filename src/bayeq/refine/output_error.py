@@ -25,7 +25,7 @@ from bayeq.forecast.dynamics import Dynamics
 from bayeq.inference.prior import Prior
 from bayeq.likelihood.fit import State, Statistics, adjoints, maximised, quadratic, solved
 from bayeq.likelihood.layout import Candidates
-from bayeq.likelihood.search import Task, finer
+from bayeq.likelihood.model import Task, finer
 from bayeq.likelihood.start import start_of_runs
 from bayeq.ode.rk4 import Interpolation
 from bayeq.refine.settings import REFINE

@@ -18,7 +18,7 @@ from bayeq.gram.products import add_products, block_for
 from bayeq.kernels import kernel
 from bayeq.likelihood.block import Block, block_of
 from bayeq.likelihood.fit import State
-from bayeq.likelihood.search import Task
+from bayeq.likelihood.model import Task
 from bayeq.regression.residuals import Residuals
 from bayeq.states import Motion, Roles
 from bayeq.states.bad_samples import Learned
