@@ -120,6 +120,7 @@ def test_exports_and_saved_files_solve_for_the_accelerations(
     ddp, ddq = np.linalg.solve(mass, side)
     expected = [dp, ddp, dq, ddq]
     np.testing.assert_allclose(eqs.to_callable()(0.0, y), expected, rtol=1e-9)
+    np.testing.assert_allclose(eqs.rhs(0.0, y), expected, rtol=1e-9)
     scope: dict[str, object] = {}
     exec(eqs.to_code("python"), scope)  # noqa: S102 - the code is what the test is about
     np.testing.assert_allclose(scope["rhs"](0.0, y.tolist()), expected, rtol=1e-9)  # type: ignore[operator]

@@ -30,7 +30,7 @@ from bayeq.states import Chain, Motion, Roles, Sensors, Smooth
 if TYPE_CHECKING:
     import pandas as pd
 
-    from bayeq.forecast.dynamics import Dynamics
+    from bayeq.forecast.dynamics import Dynamics, Law
 
 # The constant as a term, as libraries of polynomials call it.
 CONSTANT = "1"
@@ -356,8 +356,15 @@ class Answer:
         if self.roles.timed:
             columns[TIME] = np.float64(t)
         evaluate, static = Evaluator(columns), not self.states
-        rows = [row for one in self.equations for row in derivatives(one.law, columns, evaluate, static)]
+        rows = [row for law in self._laws for row in derivatives(law, columns, evaluate, static)]
         return np.array(rows, dtype=np.float64)
+
+    @cached_property
+    def _laws(self) -> list[Law]:
+        """The laws, each solved for its highest derivative where others stand in it."""
+        from bayeq.forecast.dynamics import solved_laws
+
+        return solved_laws([one.law for one in self.equations])
 
     def dynamics(self, intercepts: Sequence[bool] | None = None) -> Dynamics:
         """The equations shown as one system of first order; by default all have an intercept.

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from bayeq.likelihood.fit import State, of_inputs
-from bayeq.likelihood.model import FLAT, Fitted, Task, calmed, fit, of_motion
+from bayeq.likelihood.model import FLAT, Fitted, Task, calmed, finished, fit, of_motion
 from bayeq.likelihood.search import CLEARLY, on_the_way
 from bayeq.likelihood.settings import LIKELIHOOD
 from bayeq.likelihood.start import with_courses
@@ -29,16 +29,19 @@ def with_other_inputs(motion: Motion, task: Task, best: Fitted) -> tuple[Task, F
                 tried.append((there, fit(there, noisier(there, calmed(state), k), coarse=True)))
             except np.linalg.LinAlgError:
                 continue
-        own, likeliest = of_likeliest(*tried[0]), max(tried, key=lambda pair: of_likeliest(*pair))
-        gain = of_likeliest(*likeliest) - own
+        likeliest = max(tried, key=lambda pair: of_likeliest(*pair))
+        gain = of_likeliest(*likeliest) - of_likeliest(*tried[0])
         if likeliest is not tried[0] and gain > margin:
             there, state = likeliest[0], likeliest[1].state
             try:
-                found = on_the_way(there, state) if gain > FLAT else likeliest
+                pairs = [(task, best), on_the_way(there, state) if gain > FLAT else likeliest]
+                most = max(one.state.levels.kappa.max() for _, one in pairs)
+                if best.averages is not None or most >= LIKELIHOOD.adequate:
+                    # where a discrepancy is left coarse fits may be far from the likeliest levels
+                    pairs = [(own, finished(own, one)) for own, one in pairs]
             except np.linalg.LinAlgError:
                 continue
-            if of_likeliest(*found) > own:
-                task, best = found
+            task, best = max(pairs, key=lambda pair: of_motion(*pair))
     return task, best
 
 
