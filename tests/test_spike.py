@@ -8,7 +8,7 @@ from studies.nearly_true import draw_record
 import bayeq as bq
 from bayeq.likelihood.fit import Quadratic
 from bayeq.likelihood.settings import LIKELIHOOD
-from bayeq.likelihood.spike import Soft, isotropic, softened
+from bayeq.likelihood.spike import Soft, isotropic, root_of, softened
 
 
 def test_deviations_are_integrated_out():
@@ -20,10 +20,20 @@ def test_deviations_are_integrated_out():
         return multivariate_normal.logpdf(y, D @ m, covariance)
 
     hard = Quadratic(direct(np.zeros(5), np.eye(30)), D.T @ y, D.T @ D)
-    soft = softened(hard, S)
+    soft = softened(hard, root_of(hard.information), S)
     for m in (np.zeros(5), theta, rng.standard_normal(5)):
         at = soft.level + soft.slope @ m - 0.5 * m @ soft.information @ m
         assert at == pytest.approx(direct(m, np.eye(30) + D @ S @ S.T @ D.T), abs=1e-9)
+
+
+def test_little_noise_loses_no_digits():
+    """Of A - A S (I + S'A S)^-1 S'A nothing is left here: it is I/tau^2, of information 1e18 times larger."""
+    rng = np.random.default_rng(4)
+    D = rng.standard_normal((40, 5))
+    A, tau = 1e20 * D.T @ D, 0.1
+    soft = softened(Quadratic(0.0, A @ np.ones(5), A), root_of(A), tau * np.eye(5))
+    np.testing.assert_allclose(soft.information, np.eye(5) / tau**2, atol=1e-4)
+    np.testing.assert_allclose(soft.slope, np.ones(5) / tau**2, rtol=1e-4)
 
 
 def test_functions_are_isotropic():

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +50,9 @@ ROUNDS, MOST_APART = 3, 300
 # Directions in which candidates hardly differ from nothing, as a share of the largest, are none.
 CUT = 1e-7
 
+# Directions of less information, as a share of the largest, are rounding.
+SINGULAR = 1e-15
+
 # Hidden candidates are monomials of this degree at most.
 MOST_DEGREE = 6
 
@@ -78,23 +81,39 @@ class Nearly:
         return cls((0.0,) * chains, (np.nan,) * chains)
 
 
-def softened(q: Quadratic, spread: Floats) -> Quadratic:
+def root_of(A: Floats) -> Floats:
+    """F, (p, r), of a matrix that may be singular: A = F F'."""
+    scale = np.sqrt(np.maximum(np.diagonal(A), np.finfo(np.float64).tiny))
+    squares, axes = np.linalg.eigh(A / scale[:, None] / scale)
+    kept = squares > SINGULAR * squares[-1]
+    return np.asarray(scale[:, None] * axes[:, kept] * np.sqrt(squares[kept]))
+
+
+def softened(q: Quadratic, root: Floats, spread: Floats) -> Quadratic:
     """The likelihood about some coefficients with deviations N(0, S S') integrated out.
+
+    With F'S = U diag(s) V' the information is F (I - U U') F' + F U diag(1/(1 + s^2)) U' F': the difference
+    A - A S (I + S'A S)^-1 S'A, which it equals, is lost in rounding where the noise is little.
 
     Parameters
     ----------
     q : Quadratic
         Of p coefficients.
+    root : (p, r) array
+        F, the root of its information.
     spread : (p, K) array
         S.
     """
-    A, b = q.information, q.slope
-    across = spread.T @ A
-    L = np.linalg.cholesky(np.eye(spread.shape[1]) + across @ spread)
-    both = np.linalg.solve(L, np.column_stack([across, spread.T @ b]))
-    X, w = both[:, :-1], both[:, -1]
-    norm = float(np.log(np.diagonal(L)).sum())
-    return Quadratic(q.level + 0.5 * float(w @ w) - norm, b - w @ X, A - X.T @ X)
+    U, s, _ = np.linalg.svd(root.T @ spread, full_matrices=False)
+    left, inside = 1.0 / (1.0 + s**2), root @ U
+    across, within = root - inside @ U.T, inside * np.sqrt(left)
+    c = np.linalg.lstsq(root, q.slope, rcond=None)[0]
+    along = U.T @ c
+    outside = c - U @ along
+    outside -= U @ (U.T @ outside)  # the first difference leaves rounding of c
+    slope = root @ outside + inside @ (left * along)
+    level = q.level + 0.5 * float(np.sum(s**2 * left * along**2)) + 0.5 * float(np.log(left).sum())
+    return Quadratic(level, slope, across @ across.T + within @ within.T)
 
 
 def isotropic(columns: Floats, moved: Sequence[Floats], deviation: float) -> Floats:
@@ -127,7 +146,7 @@ def softened_rows(gram: Gram, size: float) -> Gram:
     squares, axes = np.linalg.eigh(gram.DtD / gram.n)
     kept = squares > CUT * squares[-1]
     R = axes[:, kept] * np.sqrt(gram.yty / gram.n / squares[kept] / kept.sum())
-    q = softened(Quadratic(0.0, gram.Dty, gram.DtD), size * R)
+    q = softened(Quadratic(0.0, gram.Dty, gram.DtD), root_of(gram.DtD), size * R)
     left = gram.yty - float(gram.Dty @ solved(gram.DtD, gram.Dty))
     yty = left + float(q.slope @ solved(q.information, q.slope))
     return replace(gram, DtD=q.information, Dty=q.slope, yty=yty)
@@ -230,12 +249,17 @@ class Soft:
         visible = (np.arange(layout.chains)[:, None] * width + column).ravel()
         return cls(task, fitted, visible, whole, about, spreads)
 
+    @cached_property
+    def root(self) -> Floats:
+        """The root of the information on all."""
+        return root_of(self.whole.information)
+
     def quadratic(self, tau: Sizes) -> tuple[Quadratic, float]:
         """The likelihood of all candidates about zero, the functions integrated out, and ln of its largest value."""
         q = replace(self.whole, slope=self.whole.slope - self.whole.information @ self.about)
         spreads = [size * spread for size, spread in zip(tau, self.spreads, strict=True) if size > 0.0]
         if spreads:
-            q = softened(q, np.hstack(spreads))
+            q = softened(q, self.root, np.hstack(spreads))
         A, b = q.information[np.ix_(self.visible, self.visible)], q.slope[self.visible]
         return Quadratic(q.level, b + A @ self.about[self.visible], A), q.level + 0.5 * float(b @ solved(A, b))
 

@@ -34,7 +34,7 @@ from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import apart, typical_period, window_runs
 from bayeq.forecast.rows import Rows, divided, rows_of
 from bayeq.gram import Gram
-from bayeq.inference.collapsed.path import DEPENDENT, best_of_each_size, partial_shares, path_sizes
+from bayeq.inference.collapsed.path import DEPENDENT, best_of_each_size, best_without_one, partial_shares, path_sizes
 from bayeq.inference.collapsed.problem import gram_block
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.posterior import Posterior
@@ -327,9 +327,8 @@ def _simplified(chosen: list[Selection], nearly: Sequence[int], tolerance: float
             stays = inside & (_damping(fit) | np.isposinf(fit.problem.log_odds))
             if int(inside.sum()) <= max(int(stays.sum()), 1):
                 break
-            odds = np.where(inside, fit.problem.log_odds, -math.inf)
-            problem = fit.problem._replace(log_odds=np.where(stays, math.inf, odds))
-            model, _ = best_of_each_size(problem, int(inside.sum()) - 1, [inside], fit.prior.limits)[-1]
+            problem = fit.problem._replace(log_odds=np.where(stays, math.inf, fit.problem.log_odds))
+            model = best_without_one(problem, inside, fit.prior.limits)
             fewer = list(out)
             fewer[k] = replace(one.given(fit.conditional(model), "tolerance"), full=one.full or one)
             if not _errors(motion, fewer)[SELECTION.short_run] < SELECTION.follows:

@@ -76,6 +76,14 @@ def best_of_each_size(
     return [(model, model_log_posterior(problem, model, limits)) for model in found]
 
 
+def best_without_one(problem: Problem, active: Bools, limits: Floats | None = None) -> Bools:
+    """The model with the highest log posterior (34) among those of one term fewer; forced terms stay."""
+    free = np.flatnonzero(active & (problem.log_odds < math.inf))
+    models = np.repeat(active[None, :], len(free), axis=0)
+    models[np.arange(len(free)), free] = False
+    return np.asarray(models[np.argmax(_scores(problem, models, limits))])
+
+
 def model_log_posterior(problem: Problem, active: Bools, limits: Floats | None = None) -> float:
     """ln p(y, z) of one model, eq. (34) and its prior, within limits where they are known."""
     return float(_scores(problem, active[None, :], limits)[0]) + log_constant(problem)
