@@ -25,6 +25,7 @@ from tests.draws import draws
 
 OSCILLATOR = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u"}
 TRUE = {"linear": {"x", "v", "u"}, "duffing": {"x", "v", "x**3", "u"}}
+TERMS = ["x", "v", "x**2", "x*v", "x**3", "x**2*v", "v*abs(v)", "u"]
 
 
 def quietly(records, **options):
@@ -44,8 +45,8 @@ def test_noise_free_motion_gives_the_law_to_many_digits():
 @cache
 def in_plain_units(noisy, smooth):
     """A record, and the answer that it must give in other units too."""
-    rec = bq.simulate("duffing", n=1500, seed=5, noise=0.03 if noisy else {"a": 0.02, "x": 0.005})
-    return rec, quietly(rec, **OSCILLATOR, smooth=smooth)
+    rec = bq.simulate("duffing", n=600, seed=5, noise=0.03 if noisy else {"a": 0.02, "x": 0.005})
+    return rec, quietly(rec, **OSCILLATOR, smooth=smooth, dictionary=TERMS)
 
 
 @settings(max_examples=draws(40), deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -66,7 +67,7 @@ def assert_same_in_units(noisy, exponents, smooth, pip=1e-6, coef=1e-5):
     record, reference = in_plain_units(noisy, smooth)
     scale = dict(zip("xvau", (10.0**e for e in exponents), strict=True))
     rescaled = bq.Record.from_arrays({name: record[name] * scale[name] for name in "xvau"}, time=record.time)
-    eq = quietly(rescaled, **OSCILLATOR, smooth=smooth)
+    eq = quietly(rescaled, **OSCILLATOR, smooth=smooth, dictionary=TERMS)
     assert eq[0].included == reference[0].included
     np.testing.assert_allclose(eq[0].posterior.pip, reference[0].posterior.pip, atol=pip)
     for term, value in reference[0].coef.items():

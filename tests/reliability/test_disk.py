@@ -86,7 +86,7 @@ def test_read_only_folders_are_refused_before_the_work(folder, read_only):
         assert said[0].startswith(f"bayeq: error: {read_only}/")
 
 
-@pytest.mark.parametrize("home", ["none", "read-only"])
+@pytest.mark.parametrize("home", [pytest.param("none", marks=pytest.mark.slow), "read-only"])
 def test_without_a_home_everything_works_in_silence(home, folder, read_only):
     homes = dict.fromkeys(("HOME", "XDG_CACHE_HOME", "XDG_CONFIG_HOME", "MPLCONFIGDIR"))
     homes["HOME"] = None if home == "none" else read_only
