@@ -35,7 +35,7 @@ def quietly(records, **options):
 
 
 def test_noise_free_motion_gives_the_law_to_many_digits():
-    rec = bq.simulate("duffing", seed=0, noise=0.0)
+    rec = bq.simulate("duffing", n=1000, seed=0, noise=0.0)
     eq = quietly(rec, **OSCILLATOR)[0]
     assert set(eq.included) == TRUE["duffing"]
     for term, value in rec.truth.coefficients["a"].items():
@@ -84,7 +84,7 @@ def eval_unit(term, scale):
     return out
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3, 4))])
 def test_without_noise_rounding_is_not_fitted(seed):
     rec = bq.simulate("lorenz", seed=seed, noise=0.0, perturb=0.1)
     full = bq.Record.from_arrays({**rec.channels, **{k: v for k, v in rec.truth.clean.items() if k[0] == "d"}}, fs=100)
@@ -117,17 +117,17 @@ def test_held_out_rows_are_the_last_and_not_used():
     rec = bq.simulate("linear", n=1000, seed=0)
     spoiled = rec.with_channels({"a": np.where(np.arange(1000) < 750, rec["a"], -rec["a"])})
     for smooth in ("auto", "none"):
-        a, b = (quietly(r, **OSCILLATOR, holdout=0.25, smooth=smooth)[0] for r in (rec, spoiled))
+        a, b = (quietly(r, **OSCILLATOR, dictionary=TERMS, holdout=0.25, smooth=smooth)[0] for r in (rec, spoiled))
         assert (a.scored is None) == (smooth == "none")
         assert (a.scored or a).coef == (b.scored or b).coef
         assert b.held_out.r2 < 0.5 < a.held_out.r2
-    everything = quietly(rec, **OSCILLATOR, holdout=0.0)
+    everything = quietly(rec, **OSCILLATOR, dictionary=TERMS, holdout=0.0)
     assert everything[0].held_out is None
     assert everything.data.n_train == 1000
 
 
 def test_the_rvm_as_a_method():
-    eq = quietly(bq.simulate("linear", seed=0), **OSCILLATOR, method="rvm")
+    eq = quietly(bq.simulate("linear", n=1500, seed=0), **OSCILLATOR, method="rvm")
     assert eq.method == "rvm"
     assert set(eq[0].included) >= TRUE["linear"]
     np.testing.assert_array_equal(eq[0].posterior.support, eq[0].posterior.pip > 0.5)
@@ -135,7 +135,7 @@ def test_the_rvm_as_a_method():
 
 
 def test_prior_given_by_the_user():
-    rec = bq.simulate("linear", seed=0)
+    rec = bq.simulate("linear", n=1000, seed=0)
     p0 = np.full(36, 0.1)
     p0[5] = 1.0
     eq = quietly(rec, **OSCILLATOR, prior=bq.Prior(prior_inclusion=p0, slab_variance=100.0))

@@ -26,10 +26,12 @@ ELSEWHERE = {
 
 # Pages of many discoveries, whose questions other tests ask of shorter records.
 LONG = {
+    "docs/batch.md",
     "docs/faq.md",
     "docs/laws.md",
     "docs/tutorials/channels.md",
     "docs/tutorials/engines.md",
+    "docs/tutorials/pysindy.md",
     "docs/tutorials/reading_pips.md",
     "docs/working.md",
 }

@@ -151,8 +151,8 @@ def test_physical_parameters_and_the_verdict_once(page, eq):
 
 def test_no_pictures_of_no_equation(tmp_path):
     rng = np.random.default_rng(0)
-    walk = rng.standard_normal((3, 500)).cumsum(axis=1)
-    record = bq.Record(dict(zip("xau", walk, strict=True)), np.arange(500) / 100)
+    walk = rng.standard_normal((3, 300)).cumsum(axis=1)
+    record = bq.Record(dict(zip("xau", walk, strict=True)), np.arange(300) / 100)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         eq = bq.discover(record, chains="x::a", inputs="u", dictionary="x, x**2, u")

@@ -25,7 +25,9 @@ COMMANDS = {
 
 
 @pytest.mark.statistical(short=2, full=40)
-@pytest.mark.parametrize("name", ["discover", "study", pytest.param("report", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "name", ["discover", *(pytest.param(name, marks=pytest.mark.slow) for name in ("study", "report"))]
+)
 def test_an_interrupt_at_any_moment_is_one_line(name, folder, number):
     command = COMMANDS[name]
     began = time.monotonic()
