@@ -32,7 +32,7 @@ def test_displacement_alone_is_enough_where_differences_fail(monkeypatch):
 
 
 @pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
-@pytest.mark.parametrize("channels", [pytest.param("x, a", marks=pytest.mark.slow), "x, v, a, 10 % of rows dropped"])
+@pytest.mark.parametrize("channels", ["x, a", pytest.param("x, v, a, 10 % of rows dropped", marks=pytest.mark.slow)])
 def test_bias_and_rms_are_those_of_the_discoveries_of_the_cell(channels, monkeypatch):
     monkeypatch.setattr("studies.channels.ROWS", 1200)
     line = measure_cell("coulomb", channels, 500.0, "likelihood", 2)

@@ -20,7 +20,7 @@ from bayeq.states import Roles, estimate_motion
 @pytest.mark.parametrize(
     ("kind", "noise", "course"),
     [
-        ("straight", 0.003, "linear"),
+        pytest.param("straight", 0.003, "linear", marks=pytest.mark.slow),  # as below
         ("held", 0.003, "hold"),
         ("taps", 0.02, None),
         pytest.param("blows", 0.0, None, marks=pytest.mark.slow),

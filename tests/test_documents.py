@@ -31,9 +31,11 @@ LONG = {
     "docs/laws.md",
     "docs/tutorials/channels.md",
     "docs/tutorials/engines.md",
+    "docs/tutorials/first_equation.md",
     "docs/tutorials/pysindy.md",
     "docs/tutorials/reading_pips.md",
     "docs/working.md",
+    "docs/your_own_file.md",
 }
 
 HAVE_CODE = [name for name, page in PAGES.items() if RUN & {block.language for block in blocks(page)}]

@@ -88,6 +88,7 @@ def test_intervals_of_the_paper_s_oscillators(number):
     assert np.mean(np.square(z)) == pytest.approx(1.0, abs=4 * np.sqrt(2 / len(z)))
 
 
+@pytest.mark.slow  # below, and limits that do not bind: test_selection
 def test_found_typed_and_limited_are_the_same():
     record, (found,), (typed,) = duffing()
     for name in found.included:
