@@ -12,5 +12,5 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs process groups
 
 @pytest.mark.parametrize("name", ["discover --checkpoint", pytest.param("batch", marks=pytest.mark.slow)])
 def test_a_command_that_is_killed_ends_as_if_undisturbed(name):
-    found = disturbed(name, seed=int.from_bytes(os.urandom(4)), kills=1)
+    found = disturbed(name, seed=int.from_bytes(os.urandom(4)), kills=2)
     assert (found["partial"], found["same"]) == (0, True)
