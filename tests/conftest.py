@@ -3,7 +3,7 @@
 Continuous integration draws the same examples every time; at a desk hypothesis looks for new ones. It draws all that a
 test asks for with `--slow` or `--full-statistics`, and else a share of them. Statistical tests run on few records
 unless `--full-statistics` asks for all, and those marked `slow`, in browsers, on clusters and under kills, only with
-`--slow`.
+`--slow`, or where they are statistical with `--full-statistics`.
 """
 
 from __future__ import annotations
@@ -42,8 +42,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """Skip what takes long, unless it is asked for."""
     if not config.getoption("--slow"):
         skip = pytest.mark.skip(reason="takes long: make slow, or pytest --slow")
+        full = config.getoption("--full-statistics")
         for item in items:
-            if item.get_closest_marker("slow"):
+            if item.get_closest_marker("slow") and not (full and item.get_closest_marker("statistical")):
                 item.add_marker(skip)
 
 

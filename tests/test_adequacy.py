@@ -128,9 +128,10 @@ def test_verdicts_from_the_worst():
 
 def test_an_equation_that_few_rows_leave_open():
     record = bq.simulate("duffing", n=4000, seed=1).take(np.arange(80))
-    eq = quietly(record, chains="x:v:a", inputs=["u"])
+    few = "x, v, x**2, x**3, x*abs(x), v*abs(v), u"
+    eq = quietly(record, chains="x:v:a", inputs=["u"], dictionary=few)
     assert eq.verdict.kind == "not determined"
-    whole = quietly(bq.simulate("duffing", n=1500, seed=1), chains="x:v:a", inputs=["u"])
+    whole = quietly(bq.simulate("duffing", n=1500, seed=1), chains="x:v:a", inputs=["u"], dictionary=few)
     assert whole.verdict.kind == "found"
     assert alternatives_to(whole[0].fit, whole[0].shown_posterior, 0.005).probability < 0.01
 

@@ -85,12 +85,12 @@ TWO = System(
     initial={"x1": 0.0, "v1": 0.0, "x2": 0.0, "v2": 0.0},
     inputs=("u",),
     force=BandLimitedForce(30.0, (0.2, 6.0)),
-    n=1200,
+    n=600,
     fs=200.0,
     noise=0.02,
     citation="made for this test",
 )
-DICTIONARY = {"ddx1": "x1, dx1, x1-x2, dx1-dx2, u, x1**3", "ddx2": "x2, dx2, x2-x1, dx2-dx1, u, x2**3"}
+DICTIONARY = {"ddx1": "x1, dx1, x1-x2, dx1-dx2, u", "ddx2": "x2, dx2, x2-x1, dx2-dx1, u"}
 
 
 def _two_masses(constraints: list[str]) -> bq.Equations:
@@ -117,13 +117,14 @@ def test_a_true_tie_holds_and_a_wrong_one_is_refused_with_its_odds() -> None:
 
 
 def test_a_coefficient_that_was_measured_before_is_sharper_and_a_wrong_one_is_told() -> None:
-    record = simulate("duffing", seed=1, noise=0.05)
+    record = simulate("duffing", n=1000, fs=250.0, seed=1, noise=0.05)
     ask = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u", "holdout": 0.0}
-    (known,) = bq.discover(record, constraints=["u ~ 1 +- 0.0005"], **ask)
+    ask |= {"dictionary": "x, v, x**3, u, x**2, v*abs(v)"}
+    (known,) = bq.discover(record, constraints=["u ~ 1 +- 0.001"], **ask)
     u = list(known.posterior.names).index("u")
-    # the record alone knows it three times less well
-    assert known.shown_posterior.sd[u] == pytest.approx(0.0005, rel=0.15)
-    assert known.shown_coef["u"] == pytest.approx(1.0, abs=0.001)
+    # the record alone knows it 2.5 times less well
+    assert known.shown_posterior.sd[u] == pytest.approx(0.001, rel=0.15)
+    assert known.shown_coef["u"] == pytest.approx(1.0, abs=0.002)
     with pytest.warns(BayeqWarning, match="contradicts u ~ 1.1"):
         bq.discover(record, constraints=["u ~ 1.1 +- 0.001"], **ask)
     with pytest.raises(InputError, match="likelihood of the record"):
@@ -133,19 +134,19 @@ def test_a_coefficient_that_was_measured_before_is_sharper_and_a_wrong_one_is_to
 def _runs(heavier: float) -> list[bq.Record]:
     """Three records of an oscillator, the last one of which has another mass."""
     return [
-        simulate("linear", seed=k, n=800, noise=0.02, parameters={"m": heavier if k == 2 else 1.0}) for k in range(3)
+        simulate("linear", seed=k, n=400, noise=0.02, parameters={"m": heavier if k == 2 else 1.0}) for k in range(3)
     ]
 
 
 def test_a_record_of_another_mass_differs_in_every_coefficient_and_no_other_record_does() -> None:
     names = ("x", "v", "u")
     ask = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u", "holdout": 0.0}
-    (eq,) = bq.discover(_runs(1.5), dictionary="x, v, u, x**2, x**3", differs="all", **ask)
+    (eq,) = bq.discover(_runs(1.5), dictionary="x, v, u, x**3", differs="all", **ask)
     assert set(eq.shown) == {*names, *(f"{name}*run3" for name in names)}
     # a mass of 1.5 divides every coefficient by 1.5
     for name in names:
         assert eq.shown_coef[f"{name}*run3"] == pytest.approx(-eq.shown_coef[name] / 3.0, rel=0.2)
-    (same,) = bq.discover(_runs(1.0), dictionary="x, v, u, x**2, x**3", differs="x, u", **ask)
+    (same,) = bq.discover(_runs(1.0), dictionary="x, v, u, x**3", differs="x, u", **ask)
     assert set(same.shown) == set(names)
 
 

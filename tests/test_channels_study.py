@@ -20,7 +20,8 @@ def test_records_have_the_rate_and_the_band_they_should():
     np.testing.assert_array_equal(draw_record("duffing", 200.0, seed=1)["x"], record["x"])
 
 
-def test_displacement_alone_is_enough_where_differences_fail():
+def test_displacement_alone_is_enough_where_differences_fail(monkeypatch):
+    monkeypatch.setattr("studies.channels.ROWS", 2000)
     smoothed = measure_cell("linear", "x", 1000.0, "likelihood", 2)
     naive = measure_cell("linear", "x", 1000.0, "differences", 2)
     assert smoothed["exact"] == 2
@@ -31,7 +32,7 @@ def test_displacement_alone_is_enough_where_differences_fail():
 
 
 @pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
-@pytest.mark.parametrize("channels", ["x, a", "x, v, a, 10 % of rows dropped"])
+@pytest.mark.parametrize("channels", ["x, a", pytest.param("x, v, a, 10 % of rows dropped", marks=pytest.mark.slow)])
 def test_bias_and_rms_are_those_of_the_discoveries_of_the_cell(channels, monkeypatch):
     monkeypatch.setattr("studies.channels.ROWS", 1200)
     line = measure_cell("coulomb", channels, 500.0, "likelihood", 2)

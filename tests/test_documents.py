@@ -25,7 +25,18 @@ ELSEWHERE = {
 }
 
 # Pages of many discoveries, whose questions other tests ask of shorter records.
-LONG = {"docs/faq.md", "docs/tutorials/channels.md", "docs/tutorials/engines.md"}
+LONG = {
+    "docs/batch.md",
+    "docs/faq.md",
+    "docs/laws.md",
+    "docs/tutorials/channels.md",
+    "docs/tutorials/engines.md",
+    "docs/tutorials/first_equation.md",
+    "docs/tutorials/pysindy.md",
+    "docs/tutorials/reading_pips.md",
+    "docs/working.md",
+    "docs/your_own_file.md",
+}
 
 HAVE_CODE = [name for name, page in PAGES.items() if RUN & {block.language for block in blocks(page)}]
 

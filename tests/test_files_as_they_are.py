@@ -65,7 +65,8 @@ def test_the_sheet_with_most_rows_of_numbers_is_read(book):
         assert bq.read(book).n == 400
 
 
-def test_a_sheet_by_its_name(book, capsys):
+def test_a_sheet_by_its_name(book, capsys, monkeypatch):
+    monkeypatch.setattr("bayeq.equation.report.page.pictures", lambda *_: ([], []))
     assert bq.read(book, sheet="Run 1").n == 100
     record = bq.read(f"{book}[Run 1]")
     assert (record.n, record.name) == (100, "book.xlsx[Run 1]")

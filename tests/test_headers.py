@@ -35,7 +35,11 @@ def test_of_forty_at_least_38_are_right_or_ask(verdicts):
     assert counts["right"] >= 36
 
 
-@pytest.mark.parametrize("headers", ALL, ids=lambda headers: headers.name)
+@pytest.mark.parametrize(
+    "headers",
+    [*(pytest.param(one, marks=pytest.mark.slow) for one in TUNED), *FRESH],
+    ids=lambda headers: headers.name,
+)
 def test_without_names_nothing_is_wrong(headers, tmp_path):
     path = tmp_path / "a.csv"
     bare = headers.without_names()

@@ -166,7 +166,7 @@ def test_what_is_refused():
 
 
 def test_on_the_command_line(tmp_path, capsys):
-    bq.write(actuator(1), tmp_path / "run.csv")
+    bq.write(actuator(1, rows=600), tmp_path / "run.csv")
     command = ["discover", str(tmp_path / "run.csv"), "--chain", "x::", "--input", "u", "--law", LAW, "--json"]
     assert main([*command, "--dictionary", "ddx: x, dx, f, x**3, u"]) == 0
     found = json.loads(capsys.readouterr().out)

@@ -62,7 +62,7 @@ def test_without_it_the_damping_is_wrong(late, answer):
     assert untold > 0.1
 
 
-@pytest.mark.parametrize("seed", [3, 4])
+@pytest.mark.parametrize("seed", [3, pytest.param(4, marks=pytest.mark.slow)])
 def test_lag_of_a_channel_of_the_motion(seed):
     record, truth, name, lag = draw_record("motion", "x:v:a", 0.02, seed)
     found = quietly(record, lag_sd={name: SD})

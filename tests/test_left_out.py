@@ -77,12 +77,13 @@ def test_forces_have_the_size_and_the_spectrum_of_what_is_left(found):
 
 def test_bands_hold_the_motion_under_a_force_that_was_not_measured(found):
     # a tenth of the force, up to 15 Hz
+    assert found.verdict.kind == "nearly true"
     assert found[0].shown_posterior.error_sd == pytest.approx(2.0, rel=0.1)
     assert found[0].shown_posterior.error_lines[0] < 2.0
     assert 13.0 < found[0].shown_posterior.error_lines[-2] < 16.0
     shares, formerly = [], []
-    for seed in (2, 3, 4, 5):
-        record = draw_record(PUSHED, 4000, seed)
+    for seed in (2, 3):
+        record = draw_record(PUSHED, 4000, seed).slice(step=2)
         shares.append(inside(found.simulate(record), record))
         formerly.append(inside(without(found).simulate(record), record))
     assert min(shares) > 0.85

@@ -35,7 +35,7 @@ def quietly(*arguments, **options):
 @cache
 def duffing():
     """A record, what is found among 36 terms, and what is found among the true ones."""
-    record = bq.simulate("duffing", n=1500, seed=5)
+    record = bq.simulate("duffing", n=750, fs=500.0, seed=5)
     return record, quietly(record, **OSCILLATOR), quietly(record, **OSCILLATOR, dictionary=["x", "v", "x**3", "u"])
 
 
@@ -88,6 +88,7 @@ def test_intervals_of_the_paper_s_oscillators(number):
     assert np.mean(np.square(z)) == pytest.approx(1.0, abs=4 * np.sqrt(2 / len(z)))
 
 
+@pytest.mark.slow  # below, and limits that do not bind: test_selection
 def test_found_typed_and_limited_are_the_same():
     record, (found,), (typed,) = duffing()
     for name in found.included:
@@ -191,7 +192,7 @@ def test_a_model_that_starts_lead_to_again_is_fitted_once(monkeypatch):
 
     monkeypatch.setattr(search, "from_all_levels", fit_noted)
     monkeypatch.setattr(search, "from_starts", through_noted)
-    record = draw_record(CASES["no x**3 offered"], 1000, 3)
+    record = draw_record(CASES["no x**3 offered"], 400, 3)
     quietly(record, **OSCILLATOR, dictionary=["x", "v", "u"])
     assert searches
     for starts, models in searches:

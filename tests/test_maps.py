@@ -424,6 +424,7 @@ def test_from_a_file_to_a_forecast(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("bayeq.equation.report.page.pictures", lambda *_: ([], []))
     bq.write(driven(3, 0.02), "run.csv")
     words = ["run.csv", "--chain", "x", "--input", "u", "--discrete", "--dictionary", "polynomial:3 + u + u[-1]"]
     assert main(["discover", *words, "--save", "eq.json", "--forecast", "runs.csv", "--report", "page.html"]) == 0

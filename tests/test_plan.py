@@ -82,7 +82,7 @@ def conditions(*equations, inputs=("u",), ranges=None, **options):
     return conditions_of(measured, states, inputs, {e.target: NOISE for e in equations}, **given)
 
 
-def plan(*equations, odds=100.0, realisations=3, seed=0, inputs=("u",), **options):
+def plan(*equations, odds=100.0, realisations=2, seed=0, inputs=("u",), **options):
     return plan_excitation(
         equations, inputs, conditions(*equations, inputs=inputs, **options), odds=odds, realisations=realisations,
         seed=seed, progress=lambda *_: None,

@@ -66,6 +66,7 @@ def test_all_four_work_together_and_can_be_saved(added, tmp_path):
     assert "Oscillator with a softening spring" in command(added, "systems")[0]
 
 
+@pytest.mark.slow  # those of docs/extending.md are taken in as well: test_extending
 def test_the_conformance_tests_take_them_in(added):
     files = ("tests/conformance/test_engines.py", "tests/conformance/test_systems.py")
     options = ("-q", "-p", "no:cacheprovider", "-p", "no:xdist", "-k", "forward or softening")

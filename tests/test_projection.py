@@ -78,15 +78,19 @@ def test_half_widths_of_student_s_t():
     np.testing.assert_allclose(t95(freedom), stats.t.ppf(0.975, freedom), rtol=0.01)
 
 
-def with_a_second_force(seed, share, n=4000):
-    """A Duffing oscillator with a force that nobody measured, of some share of the one that was; 1 % noise."""
-    rng = np.random.default_rng(seed)
+def with_a_second_force(seed, share):
+    """A Duffing oscillator with a force that nobody measured, of some share of the one that was; 1 % noise.
+
+    Four seconds, for the force is slow, of 50 samples a period.
+    """
+    rng, n = np.random.default_rng(seed), 4000
     clean = bq.simulate("duffing", n=n, noise=0.0, seed=seed)
     second = share * np.std(clean["u"]) * autoregression(rng, n, 0.998)
     record = bq.simulate("duffing", n=n, noise=0.0, seed=seed, force=np.asarray(clean["u"]) + second)
     channels = {name: np.asarray(record[name]) for name in ("x", "v", "a")} | {"u": np.asarray(clean["u"])}
     noisy = {name: values + 0.01 * values.std() * rng.normal(size=n) for name, values in channels.items()}
-    return bq.Record.from_arrays(noisy, fs=1000.0), record.truth.coefficients["a"], second.std() / channels["a"].std()
+    noisy = bq.Record.from_arrays(noisy, fs=1000.0).slice(step=4)
+    return noisy, record.truth.coefficients["a"], second.std() / channels["a"].std()
 
 
 def test_a_force_that_nobody_measured(tmp_path):

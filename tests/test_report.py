@@ -151,8 +151,8 @@ def test_physical_parameters_and_the_verdict_once(page, eq):
 
 def test_no_pictures_of_no_equation(tmp_path):
     rng = np.random.default_rng(0)
-    walk = rng.standard_normal((3, 500)).cumsum(axis=1)
-    record = bq.Record(dict(zip("xau", walk, strict=True)), np.arange(500) / 100)
+    walk = rng.standard_normal((3, 300)).cumsum(axis=1)
+    record = bq.Record(dict(zip("xau", walk, strict=True)), np.arange(300) / 100)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         eq = bq.discover(record, chains="x::a", inputs="u", dictionary="x, x**2, u")
@@ -180,11 +180,11 @@ def test_an_interval_over_models_is_explained_where_it_stands(tmp_path):
 
 def test_several_equations_and_records(tmp_path):
     records = [bq.simulate("lorenz", n=300, seed=seed) for seed in (0, 1)]
-    eq = bq.discover(records, chains=["x", "y", "z"], dictionary="polynomial:2")
+    eq = bq.discover(records, chains=["x", "y"], inputs=["z"], dictionary="x, y, x*z")
     eq.report(tmp_path / "out.html", records)
     text = Page((tmp_path / "out.html").read_text(encoding="utf-8")).text
     assert "Equations" in text
-    assert "Equation of motion: dx, dy, dz" in text
+    assert "Equation of motion: dx, dy" in text
     assert all(samples_hash(record) in text for record in records[-1:])
 
 

@@ -17,7 +17,7 @@ def _ring_down(seed: int, zeta: float) -> bq.Record:
 
 
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize(("seed", "zeta"), [(1, 0.004), (4, 0.001)])
+@pytest.mark.parametrize(("seed", "zeta"), [(1, 0.004), pytest.param(4, 0.001, marks=pytest.mark.slow)])
 def test_damping_that_the_record_tells_is_found(seed: int, zeta: float) -> None:
     eqs = bq.discover(_ring_down(seed, zeta), chains=["x::"])
     assert eqs.verdict.kind == "found"
@@ -25,7 +25,7 @@ def test_damping_that_the_record_tells_is_found(seed: int, zeta: float) -> None:
 
 
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("seed", [3, 5])
+@pytest.mark.parametrize("seed", [3, pytest.param(5, marks=pytest.mark.slow)])
 def test_damping_that_the_record_does_not_tell_is_not_found(seed: int) -> None:
     """Three tenths of the amplitude are lost: friction and drag lose them nearly as viscous damping does."""
     eqs = bq.discover(_ring_down(seed, 0.001), chains=["x::"])

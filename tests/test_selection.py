@@ -141,10 +141,12 @@ def test_what_is_shown_is_what_is_evaluated_and_integrated(record):
     assert table.loc["v", "shown_coef"] == 0.0
 
 
-@pytest.mark.parametrize(("rows", "k3"), [(4000, 40.0), pytest.param(15_000, 20.0, marks=pytest.mark.slow)])
-def test_limits_that_do_not_bind_change_nothing(rows, k3):
-    # a cubic stiffness that shifts the period by some 0.01 or 0.02 %: certain with noise this small
-    rec = bq.simulate("duffing", n=rows, seed=3, noise={"a": 1e-4}, parameters={"k3": k3})
+@pytest.mark.parametrize(
+    ("rows", "fs", "k3"), [(1000, 250.0, 60.0), pytest.param(15_000, 1000.0, 20.0, marks=pytest.mark.slow)]
+)
+def test_limits_that_do_not_bind_change_nothing(rows, fs, k3):
+    # a cubic stiffness that shifts the period by some 0.01 to 0.03 %: certain with noise this small
+    rec = bq.simulate("duffing", n=rows, fs=fs, seed=3, noise={"a": 1e-4}, parameters={"k3": k3})
     first, *others = (
         discover(rec, **OSCILLATOR, **options)[0]
         for options in ({}, {"max_terms": 30}, {"constraints": ["u > 0"]}, {"constraints": ["x < 0", "v < 0"]})
@@ -228,11 +230,11 @@ def test_limits_on_the_command_line(record, tmp_path, capsys):
 
 @pytest.fixture(scope="module")
 def weak():
-    """A Duffing oscillator with precise sensors whose cubic stiffness makes 0.2 % of the acceleration."""
+    """A Duffing oscillator with precise sensors whose cubic stiffness makes 0.3 % of the acceleration."""
     noise = {"x": 1e-4, "v": 1e-4, "a": 1e-3, "u": 1e-4}
-    rec = bq.simulate("duffing", seed=3, noise=noise, parameters={"k3": 500.0})
+    rec = bq.simulate("duffing", n=1000, fs=250.0, seed=3, noise=noise, parameters={"k3": 500.0})
     clean = rec.truth.clean
-    assert 500.0 * np.std(clean["x"] ** 3) == pytest.approx(0.0018 * np.std(clean["a"]), rel=0.1)
+    assert 500.0 * np.std(clean["x"] ** 3) == pytest.approx(0.0032 * np.std(clean["a"]), rel=0.1)
     return rec
 
 
@@ -267,11 +269,17 @@ def test_how_nearly_true_is_in_the_answer_and_its_file(weak, tmp_path):
     assert discover(weak, **OSCILLATOR, smooth="none")[0].error_probability is None
 
 
-@pytest.mark.parametrize("rows", [4000, pytest.param(40_000, marks=pytest.mark.slow)])
-def test_terms_without_which_a_nearly_true_law_runs_as_well_are_not_shown(rows):
+@pytest.mark.parametrize(
+    ("rows", "step", "noise", "dictionary"),
+    [
+        (4000, 8, 0.005, "x, v, x**3, u, x**2, x*v, v**2, x**2*v, x*v**2, v**3, v*abs(v), sign(v)"),
+        pytest.param(40_000, 1, 0.05, "oscillator", marks=pytest.mark.slow),
+    ],
+)
+def test_terms_without_which_a_nearly_true_law_runs_as_well_are_not_shown(rows, step, noise, dictionary):
     # a hysteretic force, which takes many terms
-    rec = draw_record("bouc-wen", 0.05, seed=0, rows=rows)
-    strict, loose = (discover(rec, **OSCILLATOR, tolerance=t)[0] for t in (0, 0.05))
+    rec = draw_record("bouc-wen", noise, seed=0, rows=rows).slice(step=step)
+    strict, loose = (discover(rec, **OSCILLATOR, dictionary=dictionary, tolerance=t)[0] for t in (0, 0.05))
     assert strict.shown == strict.included
     assert set(loose.shown) >= DUFFING
     assert len(loose.shown) < len(strict.shown)

@@ -104,7 +104,8 @@ def test_dropped_samples_are_put_back_on_their_grid():
         clean = rec.truth.clean[name]
         assert np.std((states.columns[name] - clean)[missing]) < 0.02 * np.std(clean)
     np.testing.assert_array_equal(states.columns["u"][kept], gappy["u"])
-    eq = bq.discover(gappy, displacement="x", velocity="v", acceleration="a", force="u")
+    few = "x, v, x**3, u, x**2, x*v, v*abs(v)"
+    eq = bq.discover(gappy, displacement="x", velocity="v", acceleration="a", force="u", dictionary=few)
     assert set(eq[0].included) == {"x", "v", "x**3", "u"}
 
 

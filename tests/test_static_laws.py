@@ -134,7 +134,7 @@ def test_a_static_law_needs_no_time(record: bq.Record) -> None:
 
 
 def test_what_the_dictionary_lacks_is_told(record: bq.Record) -> None:
-    found = bq.discover(record, target="F", inputs=["x", "v"], dictionary="x, v")
+    found = bq.discover(record.slice(0, 300), target="F", inputs=["x", "v"], dictionary="x, v")
     assert found.verdict.kind == "nearly true"
 
 
@@ -160,7 +160,7 @@ def test_the_likelihood_of_static_laws_has_its_derivatives(record: bq.Record) ->
 
 
 def test_without_chains_families_are_made_of_the_inputs(record: bq.Record) -> None:
-    found = bq.discover(record, target="F", inputs=["x", "v"], dictionary="polynomial:2")
+    found = bq.discover(record.slice(0, 200), target="F", inputs=["x", "v"], dictionary="polynomial:2")
     assert [term.text for term in found[0].terms] == ["x", "v", "x**2", "x*v", "v**2"]
 
 

@@ -37,13 +37,29 @@ def record():
     return bq.simulate("duffing", n=60_000, seed=3)
 
 
+def divide(patch, rows_each):
+    """Units and stretches of few rows, so that short files have several."""
+    for module in ("parquet", "text"):
+        patch.setattr(f"bayeq.records.formats.{module}.UNIT_ROWS", 7000)
+    patch.setattr("bayeq.records.formats.protocol.grid.__defaults__", (7000,))
+    patch.setattr("bayeq.streaming.units.ROWS_EACH", rows_each)
+
+
 @pytest.fixture(autouse=True)
 def small_units(monkeypatch):
-    """Units of few rows, so that short files have several."""
-    for module in ("parquet", "text"):
-        monkeypatch.setattr(f"bayeq.records.formats.{module}.UNIT_ROWS", 7000)
-    monkeypatch.setattr("bayeq.records.formats.protocol.grid.__defaults__", (7000,))
-    monkeypatch.setattr("bayeq.streaming.units.ROWS_EACH", 300)
+    divide(monkeypatch, 300)
+
+
+SEVERAL = {"dictionary": "x, v, x**2, x**3, x*v, v*abs(v), u"}
+
+
+@pytest.fixture(scope="module")
+def streamed(record, tmp_path_factory):
+    """What is found of the first 14,000 rows in a file, from stretches of 150."""
+    with pytest.MonkeyPatch.context() as patch:
+        divide(patch, 150)
+        path = written(record.take(slice(0, 14_000)), tmp_path_factory.mktemp("streamed") / "r.parquet")
+        return quietly(path, stream=True, **SEVERAL)
 
 
 def written(record, path):
@@ -242,12 +258,9 @@ def test_correlated_residuals_count_as_in_memory(tmp_path):
     compare(found, expected, rtol=1e-7)
 
 
-def test_the_likelihood_of_all_rows_is_that_in_memory(record, tmp_path, monkeypatch):
-    monkeypatch.setattr("bayeq.streaming.units.ROWS_EACH", 150)
+def test_the_likelihood_of_all_rows_is_that_in_memory(record, streamed):
     record = record.take(slice(0, 14_000))
-    path = written(record, tmp_path / "r.parquet")
-    options = {"dictionary": "x, v, x**2, x**3, x*v, v*abs(v), u"}
-    found, expected = quietly(path, stream=True, **options), quietly(path, stream=False, **options)
+    found, expected = streamed, quietly(record, **SEVERAL)
     assert found[0].included == expected[0].included == ("x", "v", "x**3", "u")
     for name in found[0].included:
         sd = expected.table().set_index("term").sd[name]
@@ -257,7 +270,7 @@ def test_the_likelihood_of_all_rows_is_that_in_memory(record, tmp_path, monkeypa
     assert found.verdict.kind == expected.verdict.kind == "found"
 
 
-def test_bad_samples_outside_of_the_stretches_are_counted(record, tmp_path, monkeypatch):
+def test_bad_samples_outside_of_the_stretches_are_counted(record, streamed, tmp_path, monkeypatch):
     monkeypatch.setattr("bayeq.streaming.units.ROWS_EACH", 150)
     record = record.take(slice(0, 14_000))
     x, u = np.array(record["x"]), np.array(record["u"])
@@ -265,18 +278,17 @@ def test_bad_samples_outside_of_the_stretches_are_counted(record, tmp_path, monk
     x[[400, 1200, 5000]] += 20.0 * x.std()
     u[[2700, 2701]] = np.nan
     path = written(record.with_channels({"x": x, "u": u}), tmp_path / "r.parquet")
-    found = quietly(path, stream=True, dictionary="x, v, x**2, x**3, u")
+    found = quietly(path, stream=True, **SEVERAL)
     assert found[0].included == ("x", "v", "x**3", "u")
     said = [line for line in found.warnings if "all 14,000 rows" in line]
     assert said == [
         "of all 14,000 rows these samples are missing: 2 of u; check the sensors",
         "of all 14,000 rows these samples were left out as bad: 3 of x; check the sensors",
     ]
-    untouched = quietly(written(record, tmp_path / "o.parquet"), stream=True, dictionary="x, v, x**2, x**3, u")
-    assert not any("all 14,000 rows" in line for line in untouched.warnings)
+    assert not any("all 14,000 rows" in line for line in streamed.warnings)
     for name in found[0].included:
-        sd = untouched.table().set_index("term").sd[name]
-        assert abs(found[0].coef[name] - untouched[0].coef[name]) < 0.1 * sd
+        sd = streamed.table().set_index("term").sd[name]
+        assert abs(found[0].coef[name] - streamed[0].coef[name]) < 0.1 * sd
 
 
 def test_any_number_of_threads_gives_the_same_bytes(record):
@@ -541,6 +553,7 @@ def test_data_in_memory_is_not_streamed(record):
         extents_of(record, None, True)
 
 
+@pytest.mark.slow  # against the answer of all rows: test_relearn
 def test_long_records_in_memory_have_the_likelihood_too(record, monkeypatch):
     monkeypatch.setattr("bayeq.discovery.entry.MOST_ROWS", 10_000)
     monkeypatch.setattr("bayeq.streaming.units.ROWS_EACH", 150)

@@ -215,6 +215,7 @@ def rows_in(path):
         return 0
 
 
+@pytest.mark.slow  # that another goes on: below
 def test_killed_at_random_it_ends_as_if_undisturbed(tmp_path):
     undisturbed, path = tmp_path / "undisturbed.db", tmp_path / "killed.db"
     options = {"systems": ["linear", "duffing"], "algorithms": ["rvm", "vb"], "realisations": 40}

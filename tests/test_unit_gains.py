@@ -176,7 +176,7 @@ def plain():
 
 @pytest.mark.parametrize("stated", [True, False])
 @pytest.mark.parametrize("smooth", ["auto", "none"])
-@pytest.mark.parametrize("make", [mm, mm_g])
+@pytest.mark.parametrize("make", [pytest.param(mm, marks=pytest.mark.slow), mm_g])
 def test_free_runs_are_those_of_the_same_motion_in_one_unit(plain, make, smooth, stated):
     record = make()
     record = record if stated else bq.Record.from_arrays(dict(record.channels), time=record.time)
@@ -236,7 +236,15 @@ def test_saved_and_loaded(tmp_path):
 # --- physical parameters ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("make", "chain"), [(mm, "x:v:a"), (mm_g, "x:v:a"), (mm, "x:v:"), (mm_g, "x:~v:a")])
+@pytest.mark.parametrize(
+    ("make", "chain"),
+    [
+        (mm_g, "x:v:a"),
+        (mm, "x:v:"),
+        (mm_g, "x:~v:a"),
+        pytest.param(mm, "x:v:a", marks=pytest.mark.slow),
+    ],
+)
 def test_physical_parameters_are_right_in_stated_units(make, chain):
     found = answer(make, chain).physical()
     twin = answer(si, chain).physical()

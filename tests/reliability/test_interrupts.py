@@ -25,7 +25,9 @@ COMMANDS = {
 
 
 @pytest.mark.statistical(short=2, full=40)
-@pytest.mark.parametrize("name", ["discover", "study", pytest.param("report", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "name", ["discover", *(pytest.param(name, marks=pytest.mark.slow) for name in ("study", "report"))]
+)
 def test_an_interrupt_at_any_moment_is_one_line(name, folder, number):
     command = COMMANDS[name]
     began = time.monotonic()
@@ -51,10 +53,8 @@ def test_an_interrupt_at_any_moment_is_one_line(name, folder, number):
 
 
 @pytest.mark.statistical(short=2, full=40)
-@pytest.mark.parametrize(
-    "name",
-    ["discover --checkpoint", *(pytest.param(name, marks=pytest.mark.slow) for name in ("study", "batch"))],
-)
+@pytest.mark.slow  # the signal: above; what is kept, and that the same command goes on: test_streaming, test_kills
+@pytest.mark.parametrize("name", ["discover --checkpoint", "study", "batch"])
 def test_an_interrupted_command_goes_on_and_ends_as_if_undisturbed(name, tmp_path, number):
     sweep(name, tmp_path, number)
 
