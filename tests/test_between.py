@@ -120,11 +120,11 @@ def test_a_coefficient_that_was_measured_before_is_sharper_and_a_wrong_one_is_to
     record = simulate("duffing", n=1000, fs=250.0, seed=1, noise=0.05)
     ask = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u", "holdout": 0.0}
     ask |= {"dictionary": "x, v, x**3, u, x**2, v*abs(v)"}
-    (known,) = bq.discover(record, constraints=["u ~ 1 +- 0.001"], **ask)
+    (known,) = bq.discover(record, constraints=["u ~ 1 +- 0.0005"], **ask)
     u = list(known.posterior.names).index("u")
-    # the record alone knows it 2.5 times less well
-    assert known.shown_posterior.sd[u] == pytest.approx(0.001, rel=0.15)
-    assert known.shown_coef["u"] == pytest.approx(1.0, abs=0.002)
+    # the record alone knows it five times less well
+    assert known.shown_posterior.sd[u] == pytest.approx(0.0005, rel=0.15)
+    assert known.shown_coef["u"] == pytest.approx(1.0, abs=0.001)
     with pytest.warns(BayeqWarning, match="contradicts u ~ 1.1"):
         bq.discover(record, constraints=["u ~ 1.1 +- 0.001"], **ask)
     with pytest.raises(InputError, match="likelihood of the record"):

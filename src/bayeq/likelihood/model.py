@@ -380,8 +380,8 @@ def with_small_discrepancy(task: Task, best: Fitted) -> Fitted:
     """The fit, or one of the same model with some discrepancy that is as likely or likelier."""
     if not (best.state.levels.kappa < NOTICED).any():
         return best
-    before, state = task.marginal(best.state, keep=False).value, fit(task, roused(best.state), coarse=True).state
-    if task.marginal(state, keep=False).value < before - FLAT:
+    some = fit(task, roused(best.state), coarse=True)
+    if some.value < best.value - FLAT:
         return best
-    again = fit(task, state)
-    return again if task.marginal(again.state, keep=False).value > before - SETTLED else best
+    again = fit(task, some.state)
+    return again if again.value > best.value - SETTLED else best
