@@ -563,10 +563,14 @@ def test_long_records_in_memory_have_the_likelihood_too(record, monkeypatch):
     assert found[0].included == ("x", "v", "x**3", "u")
 
 
-def test_long_records_in_memory_with_what_takes_whole_records_are_some_stretches(record, monkeypatch):
+@pytest.mark.parametrize("where", ["in memory", "in a file"])
+def test_long_records_with_what_takes_whole_records_are_some_stretches(record, where, tmp_path, monkeypatch):
     monkeypatch.setattr("bayeq.discovery.entry.MOST_ROWS", 10_000)
+    monkeypatch.setattr("bayeq.records.stream.LARGE", 10_000)
     monkeypatch.setattr("bayeq.streaming.units.ROWS_EACH", 150)
-    found = quietly(record.take(slice(0, 14_000)), dictionary="x, v, x**3, u, cos(3*t)")
+    rows = record.take(slice(0, 14_000))
+    asked = {"dictionary": "x, v, x**3, u, cos(3*t)"}
+    found = quietly(rows if where == "in memory" else written(rows, tmp_path / "r.h5"), **asked)
     assert (found.data.stretches, found.data.n) == (0, 3000)
     assert found[0].included == ("x", "v", "x**3", "u")
     assert any(one.startswith("3,000 of 14,000 rows are used, 20 stretches: a term uses t") for one in found.warnings)

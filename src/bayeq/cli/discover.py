@@ -226,7 +226,7 @@ def discover(files: tuple[Path, ...], as_json: bool, verbose: bool, dask: str | 
         outputs.check_records(records, options["discrete"])
         from bayeq.discovery import discover as run  # once the files are known to be readable
 
-        answer = run(source, **options, progress=progress, client=client)
+        answer = run(source, **options, progress=progress, client=client, stream=reading.stream)
         outputs.write(answer, records, read, options["holdout"], as_json, progress, verbose)
 
 

@@ -413,10 +413,14 @@ def _answer(
     extents = extents_of(records, t, stream, clustered=client is not None)
     if extents is not None:
         extents = of_channels(extents, channels)
-        whole = _whole(question, extents, executor, checkpoint)
         try:
+            whole = _whole(question, extents, executor, checkpoint)
             found = question.answer(stretches(extents), whole)
             whole.checkpoints.clear()
+        except NotStreamed as why:
+            if stream or client is not None:
+                raise
+            return _of_stretches(question, extents, why)
         except KeyboardInterrupt as stop:
             if (folder := whole.checkpoints.kept) is not None:
                 stop.add_note(f"sums over the rows are kept in {folder}; the same command continues")
@@ -429,10 +433,15 @@ def _answer(
         try:
             return question.answer(stretches(rows), _whole(question, rows, executor, None))
         except NotStreamed as why:
-            some = stretches(rows)
-            used, given = sum(record.n for record in some), sum(record.n for record in measured)
-            return question.answer(some, because=f"{used:,} of {given:,} rows are used, {len(some)} stretches: {why}")
+            return _of_stretches(question, rows, why)
     return question.answer(measured)
+
+
+def _of_stretches(question: Question, rows: tuple[Extent, ...], why: NotStreamed) -> tuple[Equations, WarningLog]:
+    """The answer to a question that takes rows all together, from stretches of a long record."""
+    some = stretches(rows)
+    used, given = sum(record.n for record in some), sum(one.n for one in rows)
+    return question.answer(some, because=f"{used:,} of {given:,} rows are used, {len(some)} stretches: {why}")
 
 
 def extents_of(records: Any, t: Any, stream: bool | None, clustered: bool = False) -> tuple[Extent, ...] | None:

@@ -303,7 +303,7 @@ class Question:
     def _without_lags(self, motion: Motion, pieces: Sequence[Record], whole: Whole | None) -> Motion:
         """The motion of channels whose lags are taken out, as the likelihood of the record finds them."""
         if whole is not None:
-            raise InputError("lag_sd: lags are learned from a record in memory: choose some rows, --rows")
+            raise NotStreamed("lag_sd: lags are learned from a record in memory: choose some rows, --rows")
         if self.smooth != "auto" or not motion.smoothing or any(map(counts_rows, pieces)):
             raise InputError(
                 "lag_sd: lags are learned by the likelihood of the record: use smooth='auto', time and more rows, or"
@@ -379,7 +379,7 @@ class Question:
                 " record: use smooth='auto', and more rows, or write a number"
             )
         if whole is not None:
-            raise InputError(
+            raise NotStreamed(
                 f"term {unknown.text}: constants inside terms need the record in memory: choose some rows, --rows"
             )
         return first_values(terms, motion, self.allowed)
