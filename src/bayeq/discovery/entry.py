@@ -12,8 +12,8 @@ from typing import Any, get_args
 import numpy as np
 
 from bayeq.adapters.pysindy.library import is_library, terms_of
-from bayeq.dictionary import Specification, Variables, build_dictionaries
-from bayeq.discovery.hidden import with_law_terms
+from bayeq.dictionary import Specification, Variables
+from bayeq.discovery.hidden import check_scales, dictionaries_of, with_law_terms
 from bayeq.discovery.question import NotStreamed, Question
 from bayeq.equation.equations import Equations
 from bayeq.errors import (
@@ -35,7 +35,7 @@ from bayeq.regression.constraints import parse_conserved, parse_constraints, par
 from bayeq.regression.joint import JOINT
 from bayeq.resumable import Progress, silent
 from bayeq.selection.select import Rules
-from bayeq.states import Roles, Smooth, Tails, check_sensors, require_laws, with_laws
+from bayeq.states import Roles, Smooth, Tails, check_sensors, with_laws
 from bayeq.states.derive import current
 from bayeq.states.sensors import share_of_reading
 from bayeq.streaming.checkpoint import Checkpoints, cache_folder
@@ -265,23 +265,23 @@ def question_of(
     _check_shares(holdout, coarsen)
     roles = Roles.parse(chains, displacement, velocity, acceleration, force, inputs, target, discrete)
     roles = with_laws(law, roles)
-    require_laws(roles)
     noise, gain_sd, lag_sd = ({} if one is None else one for one in (noise, gain_sd, lag_sd))
     check_sensors(noise, gain_sd, roles, lag_sd)
     smooth = current(smooth)
     _check_tails(tails, smooth)
     _check_band(band, smooth)
     if roles.discrete:
-        _check_map(smooth, band, lag_sd, differs, law)
+        _check_map(smooth, band, lag_sd, differs, roles.hidden)
     variables = _variables(roles)
     if is_library(dictionary):
         dictionary = terms_of(dictionary, variables.names)
-    terms, allowed, roles = with_law_terms(*build_dictionaries(dictionary, roles.seen.targets, variables), roles)
+    terms, allowed, roles = with_law_terms(*dictionaries_of(dictionary, roles, variables), roles)
     known = (constraints,) if isinstance(constraints, str) else tuple(constraints)
     parse_ties(known, terms, roles.targets)
-    parse_constraints(known, terms, roles.targets, allowed=allowed)  # what is wrong is said before the work
+    # what is wrong is said before the work
+    check_scales(roles, terms, allowed, parse_constraints(known, terms, roles.targets, allowed=allowed))
     if conserve:
-        beside = known or differs or law or discrete or prior or max_terms or coarsen < 1.0
+        beside = known or differs or roles.hidden or discrete or prior or max_terms or coarsen < 1.0
         _check_conserve(bool(beside), method in JOINT and smooth == "auto", terms)
     roles = roles.for_terms(terms)
     earlier = {name: found["name"] for name in roles.inputs if (found := EARLIER.fullmatch(name))}

@@ -9,14 +9,50 @@ from dataclasses import replace
 import numpy as np
 
 from bayeq.arrays import Bools
+from bayeq.dictionary import Specification, Variables, build_dictionaries, of_equations
 from bayeq.dictionary.build import MOST_UNKNOWN
 from bayeq.dictionary.ranges import with_ranges
 from bayeq.equation.answer import HiddenState
-from bayeq.errors import InputError
+from bayeq.errors import ChainError, InputError
 from bayeq.expressions import Expression
+from bayeq.likelihood.hidden import seen_in, with_first_paths
 from bayeq.likelihood.record_fit import RecordFit
+from bayeq.regression.constraints import Constraints
 from bayeq.regression.design import Design, build_design
 from bayeq.states import Roles
+
+
+def dictionaries_of(
+    dictionary: Specification, roles: Roles, variables: Variables
+) -> tuple[tuple[Expression, ...], Bools]:
+    """The candidates of all equations that are not stated, as `bayeq.dictionary.build_dictionaries`.
+
+    Raises
+    ------
+    InputError
+        A hidden state without a law has no dictionary, or is no candidate by itself.
+    """
+    targets = [chain.target for chain in roles.chains if not chain.stated]
+    found = roles.hidden[: len(targets) - len(roles.seen.chains)]
+    if found and of_equations(dictionary, targets) is None:
+        raise ChainError(
+            f'chain {found[0]} has no measured channel: state its rate, --law "{targets[-1]} = ...", or give each'
+            f' equation a dictionary, "{targets[0]}: ...; {targets[-1]}: ..."'
+        )
+    terms, allowed = build_dictionaries(dictionary, targets, variables)
+    for chain in found:
+        seen_in(chain, terms, allowed)
+    return terms, allowed
+
+
+def check_scales(roles: Roles, terms: Sequence[Expression], allowed: Bools, constraints: Sequence[Constraints]) -> None:
+    """Refuse, by an InputError, another coefficient where a hidden state has 1 for its scale, unless as measured."""
+    for chain in roles.hidden:
+        if not chain.stated:
+            c, j = seen_in(chain, terms, allowed)
+            if replace(constraints[c], stated=()).concerned[j]:
+                z = chain.names[0]
+                raise InputError(f"constraints: {z} has the coefficient 1: write '{z} ~ -1 +- 1e-6' for another scale")
 
 
 def with_law_terms(
@@ -66,6 +102,16 @@ def without_hidden(terms: Sequence[Expression], allowed: Bools, roles: Roles) ->
     return tuple(terms[j] for j in kept), allowed[:count, kept]
 
 
+def other_starts(design: Design) -> list[Design]:
+    """The design with other first paths of a hidden state whose law is to be found."""
+    roles = design.motion.roles
+    if not any(chain.law is None for chain in roles.hidden):
+        return []
+    motions = with_first_paths(design.motion, roles, design.terms, design.allowed)[1:]
+    found = [build_design(design.terms, motion, allowed=design.allowed) for motion in motions]
+    return [one for one in found if one.names == design.names]
+
+
 def hidden_states(
     design: Design, record: RecordFit | None, likelihood: Callable[[Design], RecordFit | None]
 ) -> tuple[HiddenState, ...]:
@@ -89,4 +135,4 @@ def hidden_states(
         seen = replace(motion, roles=motion.roles.seen, unit_gains=motion.unit_gains[: len(allowed)])
         without = likelihood(build_design(terms, seen, allowed=allowed))
         odds = -math.inf if without is None else without.of_motion - record.of_motion
-    return tuple(HiddenState(chain.names[0], odds) for chain in motion.roles.hidden)
+    return tuple(HiddenState(chain.names[0], odds, chain.stated) for chain in motion.roles.hidden)

@@ -10,11 +10,11 @@ from functools import partial
 import numpy as np
 
 from bayeq.arrays import Bools
-from bayeq.dictionary import Specification, written
+from bayeq.dictionary import Specification, of_equations, written
 from bayeq.discovery.cautions import warn_of_blows, warn_of_other_terms, warn_of_sensors, warn_of_terms, warn_of_zero
 from bayeq.discovery.conserved import warn_of_changes
 from bayeq.discovery.differs import with_differences
-from bayeq.discovery.hidden import hidden_states, without_hidden
+from bayeq.discovery.hidden import hidden_states, other_starts, without_hidden
 from bayeq.equation.answer import DataSummary, EquationTuple, HiddenState
 from bayeq.equation.build import build_equations, with_doubts
 from bayeq.equation.equation import Equation
@@ -26,7 +26,7 @@ from bayeq.expressions import Expression
 from bayeq.expressions.functions import CONSTANTS, TIME
 from bayeq.forecast.score import Scores
 from bayeq.inference.prior import SIGNED, Prior
-from bayeq.likelihood.hidden import with_first_laws, with_found_laws
+from bayeq.likelihood.hidden import with_first_laws, with_first_paths, with_found_laws
 from bayeq.likelihood.lags import first_lags
 from bayeq.likelihood.layout import Stated
 from bayeq.likelihood.record_fit import RecordFit, refit_record
@@ -172,7 +172,7 @@ class Question:
         if record is None and self.tails == "student":
             log.warn(NO_TAILS, DataWarning)
         _require_likelihood(motion, record, whole)
-        hidden = hidden_states(design, record, self._likelihood)
+        hidden = hidden_states(design, record, replace(self, dictionary=self._seen_dictionary)._likelihood)
         if any(one.log_odds_without > -CLEARLY for one in hidden):
             return self._without_hidden(hidden, records)
         design = self._at_values(design, record)
@@ -222,8 +222,10 @@ class Question:
                 "law: hidden states are found by the likelihood of the record in memory: use smooth='auto', time, more"
                 " rows, and choose rows (--rows) of a long file"
             )
-        laws = [one.with_law(terms[self.terms.index(one.law)]) for one in self.roles.hidden if one.law is not None]
+        laws = [one if one.law is None else one.with_law(terms[self.terms.index(one.law)]) for one in self.roles.hidden]
         roles = motion.roles.with_chains([*motion.roles.chains, *laws])
+        if not laws[0].stated:
+            return with_first_paths(motion, roles, terms, self.allowed)[0], terms
         return with_first_laws(motion, roles, terms, self.allowed)
 
     def _without_hidden(
@@ -231,13 +233,21 @@ class Question:
     ) -> tuple[Equations, WarningLog]:
         """The answer without hidden states that the record does not need, nor the terms that they are in."""
         terms, allowed = without_hidden(self.terms, self.allowed, self.roles)
-        found, log = replace(self, roles=self.roles.seen, terms=terms, allowed=allowed).answer(records)
+        seen = replace(self, roles=self.roles.seen, terms=terms, allowed=allowed, dictionary=self._seen_dictionary)
+        found, log = seen.answer(records)
         names, odds = some_of([one.state for one in hidden], 30), odds_text(hidden[0].log_odds_without)
         log.warn(
-            f"hidden {names} is not needed (odds without it {odds}): leave out the law, or drive the system harder",
+            f"hidden {names} is not needed (odds without it {odds}): leave it out, or drive the system harder",
             DataWarning,
         )
         return replace(found, hidden=hidden, warnings=log.messages), log
+
+    @property
+    def _seen_dictionary(self) -> Specification:
+        """The dictionary without that of a hidden state."""
+        targets = [chain.target for chain in self.roles.chains if not chain.stated]
+        given = of_equations(self.dictionary, targets)
+        return self.dictionary if given is None else {target: given[target] for target in self.roles.seen.targets}
 
     @property
     def _likelihood(self) -> Callable[..., RecordFit | None]:
@@ -253,7 +263,7 @@ class Question:
         It is compared with that without them, which is taken where the record contradicts them.
         """
         ties = parse_ties(known, design.terms, design.motion.roles.targets)
-        asked = partial(self._likelihood, design, constraints=constrained)
+        asked = partial(self._likelihood, design, constraints=constrained, others=other_starts(design))
         if self.conserved:
             warn_of_changes(self.conserve, self.conserved, design.motion, log)
             return asked(conserved=self.conserved), True

@@ -158,10 +158,13 @@ class HiddenState:
         Its name.
     log_odds_without : float
         ln of the odds of the best equations without hidden states against those with them.
+    stated : bool
+        Whether its law was stated; otherwise it was found, terms of a dictionary.
     """
 
     state: str
     log_odds_without: float
+    stated: bool = True
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
 
-from bayeq.equation.equation import Equation, RunnerUp
+from bayeq.equation.equation import Equation, RunnerUp, with_shown
 from bayeq.equation.settings import EQUATION
 from bayeq.equation.verdict import LEAST_SHOWN, Verdict, doubted, judge, noise_share, window_errors
 from bayeq.errors import (
@@ -24,6 +24,7 @@ from bayeq.inference.collapsed.search import neighbours
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.posterior import Posterior
 from bayeq.plan.models import likeliest_models
+from bayeq.regression.by_likelihood import RecordRegression
 from bayeq.regression.channel_errors import changes_by_noise, inputs_of_hidden_noise
 from bayeq.regression.fit import RegressionFit
 from bayeq.regression.regression import Regression
@@ -107,9 +108,11 @@ def build_equation(selection: Selection, window: tuple[float, str] | None) -> Eq
     verdict = judge(
         regression.chain.target, judged, by_rest, noise, window, regression.through_motion, share, _numbers(regression)
     )
+    if regression.chain.found:
+        verdict = _of_hidden(regression)
     bound = None if verdict.kind == "none" else bounds(fit)
     return Equation(
-        chain=regression.chain,
+        chain=with_shown(regression.chain, regression.design.terms, shown),
         unit_gains=tuple(motion.unit_gains[regression.k].tolist()),
         terms=regression.design.terms,
         posterior=posterior,
@@ -132,6 +135,15 @@ def build_equation(selection: Selection, window: tuple[float, str] | None) -> Eq
         constants=selection.shown_fit.regression.constants,
         forms=regression.forms,
     )
+
+
+def _of_hidden(regression: Regression) -> Verdict:
+    """The verdict on the law of a hidden state that was found: the equations that it is in are judged by the record."""
+    z, target = regression.chain.names
+    if isinstance(regression, RecordRegression) and regression.record.flat:
+        same = f"sums of {z} and other terms in place of {z} say the same of what is measured"
+        return Verdict("not determined", same, f"give {target} fewer terms")
+    return Verdict("found", f"{z} is judged by the equations that it is in")
 
 
 def _numbers(regression: Regression) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, get_args
@@ -392,7 +392,7 @@ class Equation:
     @cached_property
     def text(self) -> str:
         """The equation as a line of text, coefficients to a tenth of their standard deviation."""
-        if self.chain.hidden:
+        if self.chain.stated:
             return f"{self.target} = {self.chain.law}"
         pieces: list[str] = []
         for value, sd, term in self.summands:
@@ -598,3 +598,9 @@ class Equation:
         if self.fit is None:
             raise InputError("a file of equations does not hold what their posterior came from: run discover again")
         return self.fit
+
+
+def with_shown(chain: Chain, terms: Sequence[Expression], shown: Posterior) -> Chain:
+    """The chain, that of a hidden state whose law was found with the terms shown."""
+    pairs = zip(shown.coef.tolist(), terms, shown.support, strict=True)
+    return chain.with_found([(value, term) for value, term, inside in pairs if inside]) if chain.found else chain

@@ -19,7 +19,7 @@ import numpy as np
 
 from bayeq.arrays import Bools, Floats
 from bayeq.equation.answer import DataSummary, EquationTuple, HiddenState
-from bayeq.equation.equation import Equation
+from bayeq.equation.equation import Equation, with_shown
 from bayeq.equation.equations import Equations
 from bayeq.equation.intervals import OverModels
 from bayeq.equation.schema import Saved, check_content, first_fault
@@ -145,7 +145,10 @@ def _restore(content: Saved) -> Equations:
         **_fields(Equations, content, "method"),
         **_fields(Equations, data, "inputs", "dictionary", "smooth"),
         **_fields(Equations, diagnostics, "warnings", "constraints", "refined"),
-        hidden=tuple(HiddenState(one["state"], _log_odds(one, roles.states)) for one in content.get("hidden", ())),
+        hidden=tuple(
+            HiddenState(one["state"], _log_odds(one, roles.states), one.get("stated", True))
+            for one in content.get("hidden", ())
+        ),
     )
     bounds = [one.bounds for one in found.known()]  # constraints that cannot be read are damage
     if any(ends is not None for ends in bounds):
@@ -189,12 +192,17 @@ def _restored_equation(content: Saved, k: int, chain: Chain, names: Sequence[str
     terms = tuple(parse(term["name"], names).with_unknowns(values) for term in saved["terms"])
     posterior = _restored_posterior(content["method"], tuple(term.text for term in terms), saved, state, checks)
     column = partial(_column, saved["terms"])
+    shown = _restored_shown(posterior, saved["terms"], state["shown"])
     law = next((term for term, entry in zip(terms, saved["terms"], strict=True) if entry["included"]), None)
+    if any(one["state"] == chain.names[0] and not one.get("stated", True) for one in content.get("hidden", ())):
+        chain = with_shown(replace(chain, found=True), terms, shown)
+    elif chain.hidden and law is not None:
+        chain = chain.with_law(law)
     return Equation(
-        chain=chain.with_law(law) if chain.hidden and law is not None else chain,
+        chain=chain,
         terms=terms,
         posterior=posterior,
-        shown_posterior=_restored_shown(posterior, saved["terms"], state["shown"]),
+        shown_posterior=shown,
         why={term["name"]: term["why"] for term in saved["terms"] if term["why"] is not None},
         share=column("share", known=True),
         bound=column("bound", known=True),

@@ -44,7 +44,7 @@ def rows_of(equation: Equation, conditional: bool = False) -> list[Row]:
     intervals = equation.shown_ci95 if conditional else equation.printed_ci95
     for j, term in enumerate(equation.terms):
         pip = float(p.pip[j])
-        if equation.chain.hidden:  # all of its law is in
+        if equation.chain.stated:  # all of it is in
             continue
         if shown.support[j]:
             numbers, over_models = (

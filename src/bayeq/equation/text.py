@@ -146,15 +146,17 @@ def _render_equation(
         console.print(escape(f"\nin the table: {', '.join(f'{short} is {name}' for name, short in names.items())}"))
     if any(row.over_models for row in rows):
         console.print(f"\n{MARK} {OVER_MODELS}")
-    if equation.chain.hidden:
+    if equation.chain.stated:
         console.print("")
         return
     rest = len(equation.terms) - sum(bool(row.score) for row in rows)
     if rest:
         low = [p for p in equation.posterior.pip if p < NOTEWORTHY_PIP]
         console.print(f"\n{rest} more candidates not included, {score} at most {max(low, default=0.0):.2g}")
-    console.print(f"noise sd {round_to(equation.noise_sd, equation.noise_sd / 50)}")
-    checks = [*_units(equation), *_fits(equation), *_free_run(equation, scores), *_residuals(equation)]
+    checks = _units(equation)
+    if not equation.chain.hidden:
+        console.print(f"noise sd {round_to(equation.noise_sd, equation.noise_sd / 50)}")
+        checks = [*checks, *_fits(equation), *_free_run(equation, scores), *_residuals(equation)]
     doubts = [*forms_of(equation), *equation.at_ends, *_differences(equation, score), *unseen(equation)]
     for line in (*checks, *doubts):
         console.print(escape(line))

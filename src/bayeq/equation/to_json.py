@@ -36,7 +36,10 @@ def _attributes(of: object, *names: str) -> dict[str, Any]:
 def to_dict(eq: Answer) -> dict[str, Any]:
     """The answer as plain data, every candidate term of every equation in it."""
     files, found = eq.data.files, own_parameters(eq)
-    hidden = [{"state": one.state, "log_odds_without": finite(one.log_odds_without)} for one in eq.hidden]
+    hidden = [
+        {"state": one.state, "log_odds_without": finite(one.log_odds_without), "stated": one.stated}
+        for one in eq.hidden
+    ]
     return {
         "version": version("bayeq"),
         "method": eq.method,

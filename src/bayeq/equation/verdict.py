@@ -120,7 +120,7 @@ def doubted(
 ) -> Verdict:
     """The verdict of an equation that is not wrong: is it determined, and is it all there is?"""
     target, rate = chain.target, "per sample" if chain.discrete else "Hz"
-    if verdict.kind == "none" or chain.hidden:  # whose law is stated
+    if verdict.kind == "none" or chain.stated:
         return verdict
     if again is not None:
         on_it = f"on it the {again.terms} candidates take {again.courses} independent courses"
@@ -145,7 +145,7 @@ def doubted(
         change += [f"without {', '.join(others.leave)}"] if others.leave else []
         return Verdict(
             "not determined",
-            f"other equations, which predict another {target}, have {100 * others.probability:.2g} % of the"
+            f"other equations, which predict another {target}, have {100 * min(others.probability, 0.99):.2g} % of the"
             f" probability, the likeliest {' and '.join(change) or 'with another constant'}",
             "a longer record, other amplitudes or frequencies would tell (bayeq plan), or terms known beforehand",
         )

@@ -15,11 +15,16 @@ from bayeq.dictionary.ranges import NODES, constants_of, middle, to_plain, to_sc
 from bayeq.errors import InputError
 from bayeq.expressions import Evaluator, Expression, Symbol, Unknown, number
 from bayeq.expressions.nodes import replaced
-from bayeq.states import Chain, Motion, Roles, with_hidden
+from bayeq.gram import Gram
+from bayeq.likelihood.start import likeliest_by_rows
+from bayeq.states import Chain, Motion, Roles, with_columns, with_hidden
 
 # Values of all constants that are tried first, about; rows of the regression that each is judged by, at most; halvings
 # of the steps from the best of them.
 GRID, ROWS, HALVINGS = 400, 4000, 6
+
+# Shares of the coordinate's coefficient that a hidden state has at first beside what the other terms leave.
+SHARES = (0.0, 0.3, 0.6, 0.9)
 
 # A relaxation is sought from this share of the sampling interval to this many times the record.
 FASTEST, SLOWEST = 0.5, 2.0
@@ -75,6 +80,86 @@ def with_first_laws(
             " power needs it, or other ranges"
         )
     return best[1], tuple(term.with_unknowns(best[2]) for term in terms)
+
+
+def seen_in(chain: Chain, terms: Sequence[Expression], allowed: Bools) -> tuple[int, int]:
+    """The first equation that a hidden state is a candidate of by itself, and that candidate: they set its scale.
+
+    Raises
+    ------
+    InputError
+        There is none.
+    """
+    name = chain.names[0]
+    for j in [j for j, term in enumerate(terms) if term.tree == Symbol(name)]:
+        for c in np.flatnonzero(allowed[:, j]):
+            return int(c), j
+    raise InputError(f"chain {chain}: no equation has {name} by itself as a term, which sets its scale: add it")
+
+
+def with_first_paths(motion: Motion, roles: Roles, terms: Sequence[Expression], allowed: Bools) -> tuple[Motion, ...]:
+    """The motion with first paths of a hidden state whose law is to be found, one for each start of a search.
+
+    A path is what a regression of the equation that the state is seen in leaves, and a share of its spring: the state
+    may be one, too. Rates are those by the likeliest candidates for its changes over the time in which it forgets, for
+    rates of what is left are mostly noise.
+    """
+    (chain,) = roles.hidden
+    (z, dz), (c, _) = chain.names, seen_in(chain, terms, allowed)
+    seen, gains = roles.chains[c], (*motion.unit_gains[: len(roles.chains) - 1], np.ones(2))
+    others = [term for term, mine in zip(terms, allowed[c], strict=True) if mine and z not in term.names]
+    own = [term for term, mine in zip(terms, allowed[-1], strict=True) if mine]
+    with np.errstate(all="ignore"):
+        columns = [evaluate_terms(others, rows.columns) for rows in motion.records]
+    gram = Gram.from_data(
+        np.concatenate([D[: rows.n] for D, rows in zip(columns, motion.train, strict=False)]),
+        np.concatenate([rows.columns[seen.target] for rows in motion.train]),
+        tuple(term.text for term in others),
+    )
+    unit = np.sqrt(np.maximum(gram.diagonal, 1e-300))
+    coef = np.linalg.lstsq(gram.DtD / np.outer(unit, unit), gram.Dty / unit, rcond=1e-10)[0] / unit
+    places = roles.inputs if seen.static else seen.names[:1]
+    springs = [i for i, term in enumerate(others) if isinstance(term.tree, Symbol) and term.text in places]
+    spring = max(springs, key=lambda i: abs(coef[i]) * unit[i], default=None)
+    found = []
+    for share in SHARES[:1] if spring is None else SHARES:
+        paths = []
+        for rows, D in zip(motion.records, columns, strict=True):
+            left = rows.columns[seen.target] - gram.target_mean - (D - gram.mean) @ coef
+            paths.append({z: left if spring is None else left + share * coef[spring] * D[:, spring]})
+        records = [
+            with_columns(rows, {**path, dz: rate})
+            for rows, path, rate in zip(motion.records, paths, _rates(motion, own, paths), strict=True)
+        ]
+        found.append(replace(motion, roles=roles, records=tuple(records), unit_gains=gains))
+    return tuple(found)
+
+
+def _rates(motion: Motion, terms: Sequence[Expression], paths: Sequence[Mapping[str, Floats]]) -> list[Floats]:
+    """The rate of a hidden state by those of its candidates that its changes ask for, from its path in each record."""
+    columns = [
+        evaluate_terms(terms, {**rows.columns, **path}) for rows, path in zip(motion.records, paths, strict=True)
+    ]
+    changes, sums = [], []
+    for rows, path, D in zip(motion.train, paths, columns, strict=False):
+        assert rows.time is not None
+        (values,) = path.values()
+        ahead = _forgotten(values[: rows.n])
+        first = np.arange(0, rows.n - ahead, max(1, ahead // 2))
+        areas = 0.5 * np.diff(rows.time)[:, None] * (D[1 : rows.n] + D[: rows.n - 1])
+        whole = np.vstack([np.zeros(D.shape[1]), np.cumsum(areas, axis=0)])
+        changes.append(values[first + ahead] - values[first])
+        sums.append(whole[first + ahead] - whole[first])
+    gram = Gram.from_data(np.concatenate(sums), np.concatenate(changes), tuple(term.text for term in terms))
+    _, coef = likeliest_by_rows(gram, np.ones(len(terms), dtype=np.bool_))
+    return [D @ coef for D in columns]
+
+
+def _forgotten(path: Floats) -> int:
+    """After how many samples a path's correlation is half of that of the next one, which noise has no part in."""
+    spectrum = np.abs(np.fft.rfft(path - path.mean(), 2 * len(path))) ** 2
+    correlation = np.fft.irfft(spectrum)[1 : max(2, len(path) // 2)]
+    return 1 + int(np.argmax(correlation < 0.5 * correlation[0]))
 
 
 def with_found_laws(motion: Motion, terms: Sequence[Expression]) -> Motion:

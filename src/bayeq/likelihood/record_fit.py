@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.arrays import Bools, Floats
+from bayeq.errors import InputError
 from bayeq.expressions import Expression
 from bayeq.gram import Gram, Standardised
 from bayeq.inference.collapsed.search import scores_of
@@ -195,6 +197,17 @@ class RecordFit:
         return frozenset(known)
 
     @cached_property
+    def flat(self) -> bool:
+        """Whether the record tells of a combination of the coefficients less than their prior: equivalent forms of a
+        hidden state whose law was found."""
+        if all(chain.stated for chain in self.task.layout.roles.hidden):
+            return False
+        included = np.flatnonzero(self.fitted.model)
+        unit = 1.0 / np.sqrt(self.task.precision[included])
+        information = self.fitted.quadratic.information[np.ix_(included, included)] * np.outer(unit, unit)
+        return bool(np.linalg.eigvalsh(information)[0] < 1.0)
+
+    @cached_property
     def unshrunk(self) -> tuple[State, Floats]:
         """The fit under a prior that does not shrink coefficients, and their covariance, constants not known either."""
         state, covariance = self._unshrunk
@@ -222,10 +235,8 @@ class RecordFit:
     @cached_property
     def _unshrunk(self) -> tuple[State, Floats]:
         """The same with constants given."""
-        task, state = (
-            replace(self.task, precision=LIKELIHOOD.unshrunk * self.task.precision, recent=[]),
-            self.fitted.state,
-        )
+        share, state = 1.0 if self.flat else LIKELIHOOD.unshrunk, self.fitted.state
+        task = replace(self.task, precision=share * self.task.precision, recent=[])
         included, q = np.flatnonzero(self.fitted.model), self.fitted.quadratic
         precision = task.precision[included]
         with np.errstate(all="ignore"):
@@ -305,7 +316,12 @@ class RecordFit:
         motion = self.told(motion)
         if not (layout.drift or hidden):
             return motion
-        motion = with_found_laws(motion, layout.terms)
+        motion = self._with_laws(motion)
+        try:
+            motion = with_found_laws(motion, layout.terms)
+        except InputError:
+            if all(chain.stated for chain in motion.roles.hidden):
+                raise  # otherwise a law that was found blows up from rest: where it started is what the record tells
         with np.errstate(all="ignore"):
             series, paths = series_and_paths(layout, motion.records)
             own = replace(self.task, series=series, recent=[])
@@ -327,6 +343,15 @@ class RecordFit:
             }
             records.append(replace(rows, **freed))
         return replace(motion, records=tuple(records))
+
+    def _with_laws(self, motion: Motion) -> Motion:
+        """The motion whose hidden states have the terms that were found as their laws."""
+        state, chains = self.fitted.state, list(motion.roles.chains)
+        for c, chain in enumerate(chains):
+            if chain.hidden and not chain.stated:
+                pairs = [(j, x) for k, j, x in zip(*state.chosen, state.theta.tolist(), strict=True) if k == c]
+                chains[c] = chain.with_found([(x, self.task.layout.terms[j]) for j, x in pairs])
+        return replace(motion, roles=motion.roles.with_chains(chains))
 
     def block(self, c: int) -> slice:
         """The candidates of an equation among all."""
@@ -411,6 +436,7 @@ def fit_record(
     tolerance: float | None = None,
     stated: tuple[Stated, ...] = (),
     conserved: Mapping[int, float] | None = None,
+    others: Sequence[tuple[Motion, Sequence[Gram]]] = (),
 ) -> RecordFit | None:
     """Fit a dictionary to the training rows of some motion.
 
@@ -432,6 +458,8 @@ def fit_record(
         What is known of coefficients before.
     conserved : mapping of int to float, optional
         Factors of the states, by the number of the equation, of a sum that is conserved.
+    others : sequence of (Motion, sequence of Gram)
+        The motion with other first paths of a hidden state: searches start from each, and the likeliest fit is taken.
 
     Returns
     -------
@@ -444,9 +472,15 @@ def fit_record(
             some, places = _stretches(motion)
             log_odds = np.broadcast_to(log_odds, (len(motion.roles.chains), len(terms) + 1))
             log_odds = first_members(some, terms, log_odds)
-            task, states = start_from(some, terms, grams, log_odds, tolerance, stated, conserved)
-            task, fitted = search(task, states)
-            if motion.roles.hidden:  # a lag that is off looks like another course
+
+            pairs = []
+            for start, own in [(some, grams), *others]:
+                with suppress(np.linalg.LinAlgError) if others else nullcontext():
+                    pairs.append(search(*start_from(start, terms, own, log_odds, tolerance, stated, conserved)))
+            if not pairs:
+                return None
+            task, fitted = max(pairs, key=lambda pair: pair[1].evidence)
+            if any(chain.stated for chain in motion.roles.chains):  # a lag that is off looks like another course
                 task, fitted = settled(some, task, finished(task, fitted))
             task, fitted = with_other_inputs(some, task, fitted)
             task, fitted, forms = with_constants(some, task, fitted)

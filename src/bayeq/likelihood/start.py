@@ -109,7 +109,7 @@ def start_from(
         held=held,
     )
     precision, odds = precision_of_terms(motion, layout), log_odds.ravel().copy()
-    of_law = np.repeat([chain.hidden for chain in roles.chains], len(terms) + 1)
+    of_law = np.repeat([chain.stated for chain in roles.chains], len(terms) + 1)
     laws = np.flatnonzero(of_law & (odds == np.inf))
     empty = State(layout.everything.take(laws), np.ones(len(laws)), paths, levels)
     ties, flows = [_tied(one, layout, precision, odds) for one in stated], None
@@ -204,12 +204,7 @@ def _by_rows(empty: State, grams: Sequence[Gram], allowed: NDArray[np.bool_]) ->
     """
     chains, terms, theta, left = [], [], [], []
     for c, gram in enumerate(grams):
-        standard = gram.standardise(residual_scale(gram))
-        first = Prior(prior_inclusion=np.where(allowed[c], 0.1, 0.0))
-        prior = replace(first, slab_variance=learn_slab_variance(standard.gram, first))
-        problem = Problem.of(standard.gram, prior)
-        model = best_models(problem)[0][1]
-        coef = exact_posterior(problem, model, None)[0] / standard.scale * standard.target_scale
+        model, coef = likeliest_by_rows(gram, allowed[c])
         index = np.flatnonzero(model)
         chains += [c] * len(index)
         terms += index.tolist()
@@ -223,6 +218,16 @@ def _by_rows(empty: State, grams: Sequence[Gram], allowed: NDArray[np.bool_]) ->
     levels = empty.levels
     size = levels.discrepancy * np.clip(left, 1e-4, 1.0)
     return replace(empty, chosen=chosen, theta=np.array(theta), levels=replace(levels, discrepancy=size))
+
+
+def likeliest_by_rows(gram: Gram, allowed: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Floats]:
+    """The likeliest model of a regression, and its coefficients, (P,) each."""
+    standard = gram.standardise(residual_scale(gram))
+    first = Prior(prior_inclusion=np.where(allowed, 0.1, 0.0))
+    prior = replace(first, slab_variance=learn_slab_variance(standard.gram, first))
+    problem = Problem.of(standard.gram, prior)
+    model = best_models(problem)[0][1]
+    return model, exact_posterior(problem, model, None)[0] / standard.scale * standard.target_scale
 
 
 class _Input(NamedTuple):

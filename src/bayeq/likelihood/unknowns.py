@@ -577,8 +577,8 @@ def _allowed(task: Task) -> Bools:
 
 def _of_law(task: Task, family: Sequence[int]) -> bool:
     """Whether terms of a family are laws of hidden states, which were found along the record."""
-    hidden = [chain.hidden for chain in task.layout.roles.chains]
-    return bool(_allowed(task)[np.ix_(hidden, family)].any())
+    stated = [chain.stated for chain in task.layout.roles.chains]
+    return bool(_allowed(task)[np.ix_(stated, family)].any())
 
 
 def _is_active(task: Task, j: int) -> bool:

@@ -18,6 +18,7 @@ from bayeq.inference.engines import ENGINES
 from bayeq.inference.posterior import ModelAverage, Posterior
 from bayeq.inference.prior import Prior
 from bayeq.inference.vb import spike_slab_vb
+from bayeq.likelihood.hidden import seen_in
 from bayeq.likelihood.layout import Stated
 from bayeq.likelihood.record_fit import RecordFit, fit_record, learned_lags
 from bayeq.regression.by_likelihood import RecordRegression
@@ -52,20 +53,24 @@ def record_of(
     constraints: Sequence[Constraints] = (),
     ties: Sequence[Stated] = (),
     conserved: Mapping[int, float] | None = None,
+    others: Sequence[Design] = (),
 ) -> RecordFit | None:
     """The likelihood of the records of a design; None where it is not used, or cannot be evaluated.
 
     Of constraints it takes what is stated of coefficients, and which terms are in for their bounds; `ties` are between
-    those of several equations.
+    those of several equations, `others` the design with other first paths of a hidden state.
     """
     if smooth != "auto" or not design.motion.smoothed:
         return None
     stated = [Stated(((c, j, 1.0),), mean, sd) for c, own in enumerate(constraints) for j, mean, sd in own.stated]
-    stated += [Stated(((c, j, 1.0),), 1.0, EXACTLY) for c, j in _laws(design)]
+    known = {one.parts[0][:2] for one in stated}
+    stated += [Stated(((c, j, 1.0),), 1.0, EXACTLY) for c, j in _ones(design) if (c, j) not in known]
     log_odds = _log_odds(design, dictionary, prior)
     for own, odds in zip(constraints, log_odds, strict=False):  # of none there may be no constraints
         odds[:-1][own.forced & (odds[:-1] > -np.inf)] = np.inf
-    return fit_record(design.motion, design.terms, log_odds, design.train, tolerance, (*stated, *ties), conserved)
+    starts = [(one.motion, one.train) for one in others]
+    asked = (design.terms, log_odds, design.train, tolerance, (*stated, *ties), conserved, starts)
+    return fit_record(design.motion, *asked)
 
 
 def lags_of_design(design: Design, dictionary: Specification, prior: Prior | None) -> tuple[Mapping[str, Lag], float]:
@@ -88,20 +93,24 @@ def lags_of_design(design: Design, dictionary: Specification, prior: Prior | Non
 def _log_odds(design: Design, dictionary: Specification, prior: Prior | None) -> Floats:
     """Of every candidate of each equation, and of the constant, not being zero, (C, P + 1)."""
     roles = design.motion.roles
-    targets = roles.seen.targets
+    targets = [chain.target for chain in roles.chains if not chain.stated]
     given = of_equations(dictionary, targets)
     own = [_of_dictionary(design, dictionary if given is None else given[t], prior) for t in targets]
-    out = np.array([*own, *(np.full(len(design.terms) + 1, -np.inf) for _ in roles.hidden)])
+    out = np.array([*own, *(np.full(len(design.terms) + 1, -np.inf) for _ in roles.chains[len(own) :])])
     out[:, :-1][~design.allowed] = -np.inf
-    for c, j in _laws(design):
+    out[[chain.hidden for chain in roles.chains], -1] = -np.inf  # another zero of the state says the same
+    for c, j in _ones(design):
         out[c, j] = np.inf
     return out
 
 
-def _laws(design: Design) -> list[tuple[int, int]]:
-    """Equations of hidden states, and the one term of each."""
-    chains = enumerate(design.motion.roles.chains)
-    return [(c, int(np.flatnonzero(design.allowed[c])[0])) for c, chain in chains if chain.hidden]
+def _ones(design: Design) -> list[tuple[int, int]]:
+    """Equations, and the term of each, whose coefficient is 1: stated laws, and hidden states for their scale."""
+    chains = list(enumerate(design.motion.roles.chains))
+    laws = [(c, int(np.flatnonzero(design.allowed[c])[0])) for c, chain in chains if chain.stated]
+    return laws + [
+        seen_in(chain, design.terms, design.allowed) for _, chain in chains if chain.hidden and not chain.stated
+    ]
 
 
 def _of_dictionary(design: Design, dictionary: Specification, prior: Prior | None) -> Floats:

@@ -2,9 +2,9 @@
 
 from bayeq.states.derive import Smooth, derive_states, require_in_range, require_steps, require_varying
 from bayeq.states.derived_channels import measured_apart
-from bayeq.states.hidden import require_laws, with_laws
+from bayeq.states.hidden import with_laws
 from bayeq.states.kinematic.chain_smoother import ChainSmoothing
-from bayeq.states.motion import Motion, MotionRows, estimate_motion, with_hidden, with_paths
+from bayeq.states.motion import Motion, MotionRows, estimate_motion, with_columns, with_hidden, with_paths
 from bayeq.states.prepare import without_lags
 from bayeq.states.roles import Chain, Roles, parse_chain, parse_chains
 from bayeq.states.sensors import Lag, Sensors, Tails, check_sensors, force_of_blows, known_sensors
@@ -13,6 +13,6 @@ from bayeq.states.unit_gains import rates, unit_gains
 __all__ = [
     "Chain", "ChainSmoothing", "Lag", "Motion", "MotionRows", "Roles", "Sensors", "Smooth", "Tails",
     "check_sensors", "derive_states", "estimate_motion", "force_of_blows", "known_sensors", "measured_apart",
-    "parse_chain", "parse_chains", "rates", "require_in_range", "require_laws", "require_steps", "require_varying",
-    "unit_gains", "with_hidden", "with_laws", "with_paths", "without_lags",
+    "parse_chain", "parse_chains", "rates", "require_in_range", "require_steps", "require_varying",
+    "unit_gains", "with_columns", "with_hidden", "with_laws", "with_paths", "without_lags",
 ]  # fmt: skip

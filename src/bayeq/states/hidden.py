@@ -36,7 +36,11 @@ def with_laws(laws: str | Sequence[str], roles: Roles) -> Roles:
     """
     require_texts(laws, "law")
     sides = [_sides(text) for text in ([laws] if isinstance(laws, str) else laws)]
-    chains = list(roles.chains)
+    chains = [*roles.seen.chains, *roles.hidden]
+    if len(roles.hidden) > 1 or (roles.hidden and sides):
+        raise ChainError(
+            f"chain '{roles.hidden[-1]}': one hidden state may have a dictionary; state laws of others, --law"
+        )
     for name, text in sides:
         if name in roles.names or f"d{name}" in roles.names or [one for one, _ in sides].count(name) > 1:
             raise ChainError(f"law {text[:60]!r}: {name} has an equation, or is an input: give the state another name")
@@ -54,14 +58,6 @@ def _sides(text: str) -> tuple[str, str]:
     if not equals or not right.strip() or len(name) < 2 or name[0] != "d" or not name.isidentifier():
         raise ChainError(f"law {text[:60]!r}: write the rate of a state and what it is, as in df = (u - f)/{{tau}}")
     return name[1:], text
-
-
-def require_laws(roles: Roles) -> None:
-    """Refuse hidden states without a law, by a ChainError."""
-    for chain in roles.hidden:
-        if chain.law is None:
-            name = chain.names[0]
-            raise ChainError(f"chain '~{name}:' has no measured channel: state its rate, --law \"d{name} = ...\"")
 
 
 def hidden_columns(roles: Roles, columns: Mapping[str, Floats], time: Floats | None) -> dict[str, Floats]:

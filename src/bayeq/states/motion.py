@@ -185,12 +185,12 @@ def with_hidden(motion: Motion, roles: Roles) -> Motion:
     `roles` are those of the motion, and hidden states whose laws have values of all constants. An InputError names laws
     that are not finite along a record.
     """
-    records = tuple(_with_columns(rows, hidden_columns(roles, rows.columns, rows.time)) for rows in motion.records)
+    records = tuple(with_columns(rows, hidden_columns(roles, rows.columns, rows.time)) for rows in motion.records)
     gains = motion.unit_gains[: len(roles.chains) - len(roles.hidden)]
     return replace(motion, roles=roles, records=records, unit_gains=(*gains, *(np.ones(2) for _ in roles.hidden)))
 
 
-def _with_columns(rows: MotionRows, found: Mapping[str, Floats]) -> MotionRows:
+def with_columns(rows: MotionRows, found: Mapping[str, Floats]) -> MotionRows:
     return replace(rows, columns={**rows.columns, **found}, observed={**rows.observed, **found})
 
 
@@ -199,7 +199,7 @@ def with_paths(motion: Motion, paths: Sequence[Mapping[str, Floats]]) -> Motion:
     records = []
     for rows, path in zip(motion.records, paths, strict=True):
         columns = {**rows.columns, **path}
-        records.append(_with_columns(rows, {**path, **hidden_rates(motion.roles, columns, rows.n)}))
+        records.append(with_columns(rows, {**path, **hidden_rates(motion.roles, columns, rows.n)}))
     return replace(motion, records=tuple(records))
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from bayeq.errors import ChainError, InputError, require_text, require_texts
 from bayeq.expressions import Expression
 from bayeq.expressions.functions import TIME
+from bayeq.expressions.nodes import summed
 from bayeq.expressions.parse import EARLIER
 from bayeq.records.names import channel_name
 
@@ -63,11 +64,21 @@ class Chain:
 
     measured: tuple[str | None, ...]  # the channel that measures each derivative, from order 0 up; None where none does
     called: tuple[str | None, ...] = ()  # names of derivatives that are not measured, where they have one of their own
-    law: Expression | None = None  # stated rate of a hidden state, with constants that may be unknown
+    law: Expression | None = None  # rate of a hidden state, with constants that may be unknown
+    found: bool = False  # whether terms of a dictionary were found to be its law, which was not stated
 
     def with_law(self, law: Expression) -> Chain:
         """The chain with another law."""
         return replace(self, law=law)
+
+    def with_found(self, parts: Iterable[tuple[float, Expression]]) -> Chain:
+        """The chain of a hidden state whose law was found: coefficients and terms."""
+        return replace(self, law=summed(parts), found=True)
+
+    @property
+    def stated(self) -> bool:
+        """Whether all of the law was given."""
+        return self.law is not None and not self.found
 
     @property
     def hidden(self) -> bool:
