@@ -41,7 +41,7 @@ def dictionaries_of(
         )
     terms, allowed = build_dictionaries(dictionary, targets, variables)
     for chain in found:
-        seen_in(chain, terms, allowed)
+        seen_in(chain, roles, terms, allowed)
     return terms, allowed
 
 
@@ -49,7 +49,7 @@ def check_scales(roles: Roles, terms: Sequence[Expression], allowed: Bools, cons
     """Refuse, by an InputError, another coefficient where a hidden state has 1 for its scale, unless as measured."""
     for chain in roles.hidden:
         if not chain.stated:
-            c, j = seen_in(chain, terms, allowed)
+            c, j = seen_in(chain, roles, terms, allowed)
             if replace(constraints[c], stated=()).concerned[j]:
                 z = chain.names[0]
                 raise InputError(f"constraints: {z} has the coefficient 1: write '{z} ~ -1 +- 1e-6' for another scale")

@@ -82,8 +82,8 @@ def with_first_laws(
     return best[1], tuple(term.with_unknowns(best[2]) for term in terms)
 
 
-def seen_in(chain: Chain, terms: Sequence[Expression], allowed: Bools) -> tuple[int, int]:
-    """The first equation that a hidden state is a candidate of by itself, and that candidate: they set its scale.
+def seen_in(chain: Chain, roles: Roles, terms: Sequence[Expression], allowed: Bools) -> tuple[int, int]:
+    """The first measured equation that has a hidden state by itself as a candidate, and that: they set its scale.
 
     Raises
     ------
@@ -92,7 +92,7 @@ def seen_in(chain: Chain, terms: Sequence[Expression], allowed: Bools) -> tuple[
     """
     name = chain.names[0]
     for j in [j for j, term in enumerate(terms) if term.tree == Symbol(name)]:
-        for c in np.flatnonzero(allowed[:, j]):
+        for c in np.flatnonzero(allowed[: len(roles.seen.chains), j]):
             return int(c), j
     raise InputError(f"chain {chain}: no equation has {name} by itself as a term, which sets its scale: add it")
 
@@ -105,7 +105,7 @@ def with_first_paths(motion: Motion, roles: Roles, terms: Sequence[Expression], 
     rates of what is left are mostly noise.
     """
     (chain,) = roles.hidden
-    (z, dz), (c, _) = chain.names, seen_in(chain, terms, allowed)
+    (z, dz), (c, _) = chain.names, seen_in(chain, roles, terms, allowed)
     seen, gains = roles.chains[c], (*motion.unit_gains[: len(roles.chains) - 1], np.ones(2))
     others = [term for term, mine in zip(terms, allowed[c], strict=True) if mine and z not in term.names]
     own = [term for term, mine in zip(terms, allowed[-1], strict=True) if mine]

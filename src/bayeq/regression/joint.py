@@ -106,11 +106,10 @@ def _log_odds(design: Design, dictionary: Specification, prior: Prior | None) ->
 
 def _ones(design: Design) -> list[tuple[int, int]]:
     """Equations, and the term of each, whose coefficient is 1: stated laws, and hidden states for their scale."""
-    chains = list(enumerate(design.motion.roles.chains))
-    laws = [(c, int(np.flatnonzero(design.allowed[c])[0])) for c, chain in chains if chain.stated]
-    return laws + [
-        seen_in(chain, design.terms, design.allowed) for _, chain in chains if chain.hidden and not chain.stated
-    ]
+    roles = design.motion.roles
+    laws = [(c, int(np.flatnonzero(design.allowed[c])[0])) for c, chain in enumerate(roles.chains) if chain.stated]
+    found = [chain for chain in roles.hidden if not chain.stated]
+    return [*laws, *(seen_in(chain, roles, design.terms, design.allowed) for chain in found)]
 
 
 def _of_dictionary(design: Design, dictionary: Specification, prior: Prior | None) -> Floats:
