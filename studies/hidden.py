@@ -1,10 +1,11 @@
-"""Hidden states with stated laws: actuators that lag, tanks in a row, Bouc and Wen's hysteresis, and none.
+"""Hidden states with stated laws: actuators that lag, tanks in a row, Bouc and Wen's hysteresis, and none; and with
+laws that are found: that hysteresis from all channels, from displacement alone, on a test machine, and none.
 
     python -m studies.hidden --first-seed 220000 > docs/tables/hidden.csv
 
 Parameters are drawn; every channel has noise of a share of its standard deviation. Exact is an answer with the true
-terms of the measured equation, the hidden state among them, or without it where there is none. Intervals are those of
-coefficients and of the constants of the law.
+terms of the measured equation, the hidden state among them, or without it where there is none, and of a law that is
+found. Intervals are those of coefficients and of the constants of the law.
 """
 
 from __future__ import annotations
@@ -74,7 +75,56 @@ def tanks(rng: np.random.Generator) -> Drawn:
 
 
 def hysteresis(rng: np.random.Generator) -> Drawn:
-    """Bouc and Wen's oscillator, its motion measured in full, its restoring force hidden."""
+    """Bouc and Wen's oscillator, its motion measured in full, its restoring force hidden, with a stated law."""
+    channels, fs, truth, law = _hysteretic(rng)
+    return channels, fs, {"a": {**truth["a"], "r": -1.0}}, law
+
+
+def _found(rng: np.random.Generator, names: Mapping[str, str]) -> Drawn:
+    """The same with a law that is found, its scale another: r is the negative of the force; channels by these names."""
+    channels, fs, truth, law = _hysteretic(rng)
+    target, v = names["a"], names["v"]
+    seen = {names.get(name, name): value for name, value in truth["a"].items()}
+    own = {v: -60.0, f"abs({v})*r": -law["b"], f"{v}*abs(r)": law["g"]}
+    measured = {name: values for name, values in channels.items() if names.get(name, name) == name}
+    return measured, fs, {target: {**seen, "r": 1.0}, "dr": own}, {}
+
+
+def damper(rng: np.random.Generator) -> Drawn:
+    """A damper on a test machine, with a spring, and a hysteretic force that is hidden."""
+    time = np.arange(ROWS) * 0.01
+    k, c, b, g = rng.uniform(3.0, 8.0), rng.uniform(0.3, 1.0), rng.uniform(1.0, 3.0), rng.uniform(0.5, 1.5)
+    w, phase = rng.uniform(1.0, 12.0, 8), rng.uniform(0.0, 2.0 * np.pi, 8)
+
+    def speed(s: Any) -> Any:
+        return 0.5 * (w * np.cos(np.multiply.outer(s, w) + phase)).sum(axis=-1)
+
+    def rate(s: float, y: Floats) -> list[float]:
+        v = speed(s)
+        return [20.0 * v - b * abs(v) * y[0] - g * v * abs(y[0])]
+
+    x = 0.5 * np.sin(np.multiply.outer(time, w) + phase).sum(axis=-1)
+    v, r = speed(time), _states(rate, [0.0], time)[0]
+    truth = {"F": {"x": k, "v": c, "r": 1.0}, "dr": {"v": 20.0, "abs(v)*r": -b, "v*abs(r)": -g}}
+    return {"x": x, "v": v, "F": k * x + c * v + r}, 100.0, truth, {}
+
+
+def cubic(rng: np.random.Generator) -> Drawn:
+    """An oscillator with a cubic spring and nothing hidden."""
+    time = np.arange(ROWS) * 0.01
+    k, c, k3, force = rng.uniform(40.0, 80.0), rng.uniform(0.3, 1.0), rng.uniform(5.0, 20.0), _waves(rng, 1.0, 20.0)
+
+    def rate(s: float, y: Floats) -> list[float]:
+        x, v = y.tolist()
+        return [v, 15.0 * force(s) - c * v - k * x - k3 * x**3]
+
+    x, v = _states(rate, [0.0, 0.0], time)
+    a = 15.0 * force(time) - c * v - k * x - k3 * x**3
+    truth = {"a": {"x": -k, "v": -c, "x**3": -k3, "u": 15.0}}
+    return {"x": x, "v": v, "a": a, "u": force(time)}, 100.0, truth, {}
+
+
+def _hysteretic(rng: np.random.Generator) -> Drawn:
     time = np.arange(ROWS) * 0.01
     k, c, b, g = rng.uniform(40.0, 80.0), rng.uniform(0.3, 1.0), rng.uniform(1.0, 3.0), rng.uniform(0.5, 1.5)
     force = _waves(rng, 1.0, 20.0)
@@ -85,7 +135,7 @@ def hysteresis(rng: np.random.Generator) -> Drawn:
 
     x, v, r = _states(rate, [0.0, 0.0, 0.0], time)
     a = 15.0 * force(time) - c * v - k * x - r
-    truth = {"x": -k, "v": -c, "r": -1.0, "u": 15.0}
+    truth = {"x": -k, "v": -c, "u": 15.0}
     return {"x": x, "v": v, "a": a, "u": force(time)}, 100.0, {"a": truth}, {"b": b, "g": g}
 
 
@@ -93,6 +143,17 @@ OSCILLATOR = {"chains": "x::", "inputs": ["u"], "dictionary": {"ddx": "x, dx, f,
 TANKS = {"chains": "y", "inputs": ["u"], "dictionary": {"dy": "sqrt(abs(h)), sqrt(y), h, y, u, y**2"}}
 HYSTERESIS = {"chains": "x:v:a", "inputs": ["u"], "dictionary": {"a": "x, v, r, u, x**3, v*abs(v), sign(v)"}}
 LAG = "df = (u - f)/{tau}"
+
+
+def _among(chain: str, target: str, v: str, inputs: Sequence[str]) -> dict[str, Any]:
+    """A question with a dictionary for the hidden force r."""
+    terms = [*inputs] if chain[0] == "=" else ["x", v, *inputs]
+    seen = ", ".join([*terms, "r", "x**2", "x**3", f"{v}*abs({v})"])
+    own = f"{v}, r, x, abs({v})*r, {v}*abs(r), {v}*r**2, r**3, {v}**3"
+    return {"chains": [chain, "~r:"], "inputs": inputs, "dictionary": {target: seen, "dr": own}}
+
+
+FULL, ALONE = {"a": "a", "v": "v"}, {"a": "ddx", "v": "dx"}
 
 SYSTEMS: dict[str, tuple[Callable[[np.random.Generator], Drawn], dict[str, Any]]] = {
     "actuator": (actuator, {**OSCILLATOR, "law": LAG}),
@@ -102,13 +163,21 @@ SYSTEMS: dict[str, tuple[Callable[[np.random.Generator], Drawn], dict[str, Any]]
         hysteresis,
         {**HYSTERESIS, "law": "dr = 60*v - {b: 0.2..20}*abs(v)*r - {g: 0.1..10}*v*abs(r)"},
     ),
+    "hysteresis found": (partial(_found, names=FULL), _among("x:v:a", "a", "v", ["u"])),
+    "hysteresis found, x and u": (partial(_found, names=ALONE), _among("x::", "ddx", "dx", ["u"])),
+    "damper found": (damper, _among("=F", "F", "v", ["x", "v"])),
+    "none found": (cubic, _among("x:v:a", "a", "v", ["u"])),
 }
 
 
 def _judged(truth: dict[str, dict[str, float]], constants: dict[str, float], eqs: Equations) -> dict[str, object]:
-    """The measured equation against the truth; intervals of constants beside those of coefficients."""
-    (target,) = truth
-    found = judged([eqs[target]], truth)
+    """Equations against the truth; intervals of constants beside those of coefficients, but for the 1 of a scale."""
+    known = {equation.target for equation in eqs}
+    found = judged([eqs[target] for target in truth if target in known], {t: truth[t] for t in truth if t in known})
+    if missed := truth.keys() - known:
+        found |= {"exact": False, "wrong": [*found["wrong"], *(f"{target}: -" for target in missed)]}
+    if "dr" in truth:
+        found["terms"] = {name: one for name, one in found["terms"].items() if not name.endswith(" r")}
     ends = {one.name: one.ci95 for one in eqs.constants}
     inside = [ends[name][0] <= value <= ends[name][1] for name, value in constants.items() if name in ends]
     return {**found, "verdict": eqs.verdict.kind, "constants": len(inside), "constants_inside": sum(inside)}
