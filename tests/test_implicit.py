@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from studies.implicit import SYSTEMS, cart_pole, double_pendulum
 
 import bayeq as bq
@@ -134,3 +135,31 @@ def test_a_cart_with_a_pole_is_found_under_a_force() -> None:
     record, truth = cart_pole(0.01, 7000)
     eqs = bq.discover(record, **SYSTEMS["cart-pole"][1])
     assert {eq.target: set(eq.shown) for eq in eqs} == {target: set(own) for target, own in truth.items()}
+
+
+def test_dry_friction_beside_another_s_acceleration() -> None:
+    """Whether friction holds a body depends on what the other's acceleration does to it."""
+    rng, t = np.random.default_rng(3), np.arange(1000) * 0.01
+    w, phase = rng.uniform(2.0, 15.0, 8), rng.uniform(0.0, 6.0, 8)
+    mass = np.linalg.inv([[1.0, -0.4], [-0.5, 1.0]])
+
+    def push(s):
+        return 10.0 * np.sin(np.multiply.outer(s, w) + phase).sum(axis=-1) / 2.0
+
+    def rate(s, state):
+        x, dx, y, dy = state
+        return [dx, dy, *(mass @ [push(s) - 40.0 * x - 3.0 * np.tanh(dx / 1e-3), -90.0 * y - 0.8 * dy])]
+
+    def ordered(s, state):
+        dx, dy, ddx, ddy = rate(s, state)
+        return [dx, ddx, dy, ddy]
+
+    states = solve_ivp(ordered, (0.0, t[-1]), [0.1, 0.0, 0.1, 0.0], t_eval=t, rtol=1e-6, atol=1e-8, method="LSODA").y
+    channels = {"x": states[0], "y": states[2], "u": push(t)}
+    noisy = {name: one + 0.005 * one.std() * rng.standard_normal(1000) for name, one in channels.items()}
+    record = bq.Record.from_arrays(noisy, time=t)
+    dictionary = {"ddx": "x, dx, u, sign(dx), ddy", "ddy": "y, dy, u, sign(dy), ddx"}
+    eq = bq.discover(record, chains=["x::", "y::"], inputs=["u"], dictionary=dictionary)
+    assert set(eq["ddx"].included) == {"x", "u", "sign(dx)", "ddy"}
+    assert set(eq["ddy"].included) == {"y", "dy", "ddx"}
+    assert eq["ddx"].shown_coef["sign(dx)"] == pytest.approx(-3.0, rel=0.1)

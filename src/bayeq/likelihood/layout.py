@@ -287,11 +287,14 @@ class Layout:
         """Whether terms hold targets (`bayeq.expressions.implicit`)."""
         return any(term.names.intersection(self.roles.targets) for term in self.terms)
 
-    def solved(self, chosen: Candidates) -> tuple[list[Node], list[list[Node]]]:
-        """The targets without their discrepancies, and (I - A)^-1 of the mass matrix I - A."""
+    def solved(
+        self, chosen: Candidates, terms: Sequence[Expression] | None = None
+    ) -> tuple[list[Node], list[list[Node]]]:
+        """The targets without their discrepancies, and (I - A)^-1 of the mass matrix I - A; of the blurred terms."""
+        terms = self.blurred if terms is None else terms
         summed: list[list[tuple[Node, Expression]]] = [[] for _ in range(self.chains)]
         for k, (c, j) in enumerate(zip(chosen.chain.tolist(), chosen.term.tolist(), strict=True)):
-            term = self.blurred[j] if j < len(self.terms) else Expression(number(1))
+            term = terms[j] if j < len(terms) else Expression(number(1))
             summed[c].append((Symbol(f"theta[{k}]"), term))
         return solved(summed, self.roles.targets)
 
