@@ -12,13 +12,15 @@ import os
 import sys
 from pathlib import Path
 
-from examples import air_track, coupled, encoder, pendulum, populations, tanks
+from examples import air_track, coupled, double_pendulum, encoder, pendulum, populations, tanks
 from examples.page import Example, put_blocks, write_figure, write_table
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGE = DOCS / "examples.md"
-EXAMPLES = {module.NAME: module for module in (air_track, coupled, pendulum, encoder, populations, tanks)}
+EXAMPLES = {
+    module.NAME: module for module in (air_track, coupled, pendulum, double_pendulum, encoder, populations, tanks)
+}
 
 
 def main(arguments: list[str] | None = None) -> int:

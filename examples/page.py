@@ -39,7 +39,7 @@ LONGEST = 150
 LEFT_OUT = re.compile(
     r"\| .* \| not included|\| intercept|\* interval over|\d+ more candidates|noise sd|training rows|residuals:"
     r"|not determined by|by the likelihood alone|runners-up| +1:\d|\d+ rows at|not measured, estimated"
-    r"|\d+ runs with coefficients"
+    r"|\d+ runs with coefficients|too small to be seen"
 )
 
 

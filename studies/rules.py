@@ -99,7 +99,8 @@ def _rows(stage: str, lines: Lines) -> Iterator[str]:
     yield "| field | default | what it decides | rests on | moves |\n|---|---|---|---|---|"
     for one in fields(STAGES[stage]):
         about = one.metadata["about"] + (" **Cliff.**" if one.metadata["cliff"] else "")
-        said = _said(lines.get((stage, one.name)))
+        line = lines.get((stage, one.name))
+        said = "**above**" if moves(line) else _said(line)
         yield f"| `{one.name}` | {_value(one)} | {about} | {_rests(one)} | {said} |"
 
 

@@ -198,7 +198,7 @@ class RecordFit:
 
     @cached_property
     def flat(self) -> bool:
-        """Whether the record tells of a combination of the coefficients less than their prior: equivalent forms of a
+        """Whether the record says less about a combination of the coefficients than their prior: equivalent forms of a
         hidden state whose law was found."""
         if all(chain.stated for chain in self.task.layout.roles.hidden):
             return False
