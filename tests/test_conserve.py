@@ -216,3 +216,12 @@ def test_through_the_command(tmp_path, capsys) -> None:
         back.refine(record)
     assert main([*ask[:-1], "S + W"]) == 2
     assert "conserve 'S + W'" in capsys.readouterr().err
+
+
+def test_a_search_whose_first_model_cannot_be_fitted_goes_on() -> None:
+    """Of this record the rounds first settle on seventeen flows and constants, whose own fit leaves all motion."""
+    from studies.conserved import TERMS, epidemic
+
+    record, truth = epidemic(300014)
+    eq = bq.discover(record, chains=["S", "I", "R"], dictionary=TERMS, conserve="S + I + R")
+    assert {one.target: set(one.included) for one in eq} == {target: set(terms) for target, terms in truth.items()}

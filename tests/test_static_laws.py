@@ -221,3 +221,16 @@ def test_the_command_line(record: bq.Record, tmp_path, capsys) -> None:
     ):
         assert main([*asked, *more]) != 0
         assert message in capsys.readouterr().err
+
+
+@pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
+def test_intervals_beside_a_constant_hold_what_likely_models_without_it_say() -> None:
+    """v*abs(v) is another where v stands for tanh(v/{v0}), and the record cannot tell these apart."""
+    from studies.static_laws import BESIDE, draw_record
+
+    record, truth, _ = draw_record("offered", 0.05, 300002)
+    eq = bq.discover(record, target="F", inputs=["x", "v"], dictionary=BESIDE + ", tanh(v/{v0})")[0]
+    shares = dict(zip(eq.posterior.names, eq.posterior.pip, strict=True))
+    assert shares["v"] + shares["tanh(v/{v0})"] > 0.99
+    low, high = eq.printed_ci95[list(eq.posterior.names).index("v*abs(v)")]
+    assert low < truth["v*abs(v)"] < high

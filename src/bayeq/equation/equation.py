@@ -293,18 +293,27 @@ class Equation:
     @cached_property
     def printed_ci95(self) -> Floats:
         """95 % intervals as they are printed, (P, 2): `shown_ci95`, or those over models where they are `unlike` it."""
-        given = self.over_models.given_in
+        given = self._given_in
         return self.shown_ci95 if given is None else np.where(self.printed_over_models[:, None], given, self.shown_ci95)
+
+    @cached_property
+    def _given_in(self) -> Floats | None:
+        """95 % intervals over the models that hold a term, (P, 2); None where coefficients are of one model.
+
+        Beside constants they are no narrower than the intervals that are joint with these.
+        """
+        given = None if self.shown_posterior.averaged_coef is None else self.over_models.given_in
+        if given is None or not self.shown_constants:
+            return given
+        low, high = np.minimum(given[:, 0], self.shown_ci95[:, 0]), np.maximum(given[:, 1], self.shown_ci95[:, 1])
+        return np.column_stack([low, high])
 
     @cached_property
     def printed_over_models(self) -> Bools:
         """Terms whose interval is printed over all models that hold the term, (P,)."""
-        shown = self.shown_posterior
-        # coefficients by output error are of one model, and those beside constants are joint with them
-        given = None if shown.averaged_coef is None or self.shown_constants else self.over_models.given_in
-        if given is None:
+        if self._given_in is None:
             return np.zeros(len(self.terms), dtype=np.bool_)
-        return shown.support & unlike(given, self.shown_ci95)
+        return self.shown_posterior.support & unlike(self._given_in, self.shown_ci95)
 
     @cached_property
     def printed_intercept_ci95(self) -> tuple[float, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
@@ -467,31 +467,44 @@ def fit_record(
         None where the likelihood cannot be evaluated: terms that are not finite beside the path, or motion that no
         model found stays near.
     """
-    try:
-        with np.errstate(all="ignore"):
-            some, places = _stretches(motion)
-            log_odds = np.broadcast_to(log_odds, (len(motion.roles.chains), len(terms) + 1))
-            log_odds = first_members(some, terms, log_odds)
+    with np.errstate(all="ignore"), suppress(np.linalg.LinAlgError):
+        some, places = _stretches(motion)
+        log_odds = np.broadcast_to(log_odds, (len(motion.roles.chains), len(terms) + 1))
+        log_odds = first_members(some, terms, log_odds)
+        starts = []
+        for start, own in [(some, grams), *others]:
+            with suppress(np.linalg.LinAlgError):
+                starts.append(start_from(start, terms, own, log_odds, tolerance, stated, conserved))
+        for finish in (False, True):  # of a model on the way a fit may fail
+            with suppress(np.linalg.LinAlgError):
+                return _fitted(motion, some, places, starts, finish)
+    return None
 
-            pairs = []
-            for start, own in [(some, grams), *others]:
-                with suppress(np.linalg.LinAlgError) if others else nullcontext():
-                    pairs.append(search(*start_from(start, terms, own, log_odds, tolerance, stated, conserved)))
-            if not pairs:
-                return None
-            task, fitted = max(pairs, key=lambda pair: pair[1].evidence)
-            if any(chain.stated for chain in motion.roles.chains):  # a lag that is off looks like another course
-                task, fitted = settled(some, task, finished(task, fitted))
-            task, fitted = with_other_inputs(some, task, fitted)
-            task, fitted, forms = with_constants(some, task, fitted)
-            if some is not motion:
-                return _resumed(motion, task, fitted, places)
-            unequal, state = with_unequal_noise(task, fitted.state, motion.sensors)
-            fitted = finished(task, fitted) if unequal is task else resumed(unequal, state)
-            task = unequal
-            return _checked(replace(RecordFit.of(task, fitted), forms=forms))
-    except np.linalg.LinAlgError:
-        return None
+
+def _fitted(
+    motion: Motion,
+    some: Motion,
+    places: Sequence[tuple[int, int]],
+    starts: Sequence[tuple[Task, Sequence[State]]],
+    finish: bool,
+) -> RecordFit:
+    """The likeliest fit of those that searches lead to; `some` of the motion are what they are of."""
+    pairs = []
+    for task, states in starts:
+        with suppress(np.linalg.LinAlgError):
+            pairs.append(search(task, states, finish))
+    if not pairs:
+        raise np.linalg.LinAlgError("no search leads to a likelihood that can be evaluated")
+    task, fitted = max(pairs, key=lambda pair: pair[1].evidence)
+    if any(chain.stated for chain in motion.roles.chains):  # a lag that is off looks like another course
+        task, fitted = settled(some, task, finished(task, fitted))
+    task, fitted = with_other_inputs(some, task, fitted)
+    task, fitted, forms = with_constants(some, task, fitted)
+    if some is not motion:
+        return _resumed(motion, task, fitted, places)
+    unequal, state = with_unequal_noise(task, fitted.state, motion.sensors)
+    fitted = finished(task, fitted) if unequal is task else resumed(unequal, state)
+    return _checked(replace(RecordFit.of(unequal, fitted), forms=forms))
 
 
 def learned_lags(

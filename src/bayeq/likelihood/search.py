@@ -178,11 +178,13 @@ def from_the_simplest(task: Task, empty: State) -> State | None:
     return state
 
 
-def from_starts(task: Task, starts: Iterable[State | Callable[[], State | None]]) -> tuple[Task, Fitted]:
+def from_starts(
+    task: Task, starts: Iterable[State | Callable[[], State | None]], finish: bool = False
+) -> tuple[Task, Fitted]:
     """The likeliest fit that starts lead to, from the next one too where those before left a discrepancy.
 
-    A start may be what gives it, or None, when it is needed. The first model is on the way if it leaves none; a model
-    that starts lead to again is not fitted again.
+    A start may be what gives it, or None, when it is needed. The first model is on the way if it leaves none, unless
+    it is to be finished too; a model that starts lead to again is not fitted again.
 
     Raises
     ------
@@ -199,7 +201,7 @@ def from_starts(task: Task, starts: Iterable[State | Callable[[], State | None]]
             key = best.model.tobytes()
             if key in settled:
                 continue
-            if not settled and best.state.levels.kappa.max() < LIKELIHOOD.adequate:
+            if not (finish or settled) and best.state.levels.kappa.max() < LIKELIHOOD.adequate:
                 return there, best
             settled[key] = there, from_all_levels(there, best.state)
         except np.linalg.LinAlgError:
@@ -211,14 +213,15 @@ def from_starts(task: Task, starts: Iterable[State | Callable[[], State | None]]
     return max(settled.values(), key=lambda pair: pair[1].evidence)
 
 
-def search(task: Task, starts: Sequence[State]) -> tuple[Task, Fitted]:
+def search(task: Task, starts: Sequence[State], finish: bool = False) -> tuple[Task, Fitted]:
     """The best model that rounds of selection lead to, and the task with the steps of integration that were used.
 
     Rounds start from the next start too where those before left a discrepancy. The last one has no terms but those of
-    stated laws; the fit of all candidates from there is a further start if these are few.
+    stated laws; the fit of all candidates from there is a further start if these are few. `finish` as in
+    `from_starts`.
     """
     together, simplest = partial(all_together, task, starts[-1]), partial(from_the_simplest, task, starts[-1])
-    return from_starts(task, (*starts, together, simplest))
+    return from_starts(task, (*starts, together, simplest), finish)
 
 
 def resumed(task: Task, state: State) -> Fitted:
