@@ -15,9 +15,10 @@ from bayeq.equation.equation import Equation
 from bayeq.equation.verdict import Verdict, worst
 from bayeq.errors import InputError
 from bayeq.export.latex import Uncertainty
-from bayeq.expressions import Evaluator
+from bayeq.expressions import Evaluator, Expression
 from bayeq.expressions.functions import TIME
 from bayeq.forecast.score import Scores
+from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.unknowns import ConstantEstimate
 from bayeq.ode.rk4 import Interpolation
 from bayeq.plan.conditions import Measured
@@ -165,6 +166,12 @@ class HiddenState:
     state: str
     log_odds_without: float
     stated: bool = True
+
+
+def with_shown(chain: Chain, terms: Sequence[Expression], shown: Posterior) -> Chain:
+    """The chain, that of a hidden state whose law was found with the terms shown."""
+    pairs = zip(shown.coef.tolist(), terms, shown.support, strict=True)
+    return chain.with_found([(value, term) for value, term, inside in pairs if inside]) if chain.found else chain
 
 
 @dataclass(frozen=True)

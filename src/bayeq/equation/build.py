@@ -6,7 +6,8 @@ import math
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
 
-from bayeq.equation.equation import Equation, RunnerUp, with_shown
+from bayeq.equation.answer import with_shown
+from bayeq.equation.equation import Equation, RunnerUp
 from bayeq.equation.settings import EQUATION
 from bayeq.equation.verdict import LEAST_SHOWN, Verdict, doubted, judge, noise_share, window_errors
 from bayeq.errors import (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, get_args
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bayeq.arrays import Bools, Floats
-from bayeq.equation.intervals import Model, OverModels, cut, over_models, unlike
+from bayeq.equation.intervals import Model, OverModels, around, cut, over_models, unlike
 from bayeq.equation.sensitivity import (
     PipCurve,
     PriorSensitivity,
@@ -293,26 +293,18 @@ class Equation:
     @cached_property
     def printed_ci95(self) -> Floats:
         """95 % intervals as they are printed, (P, 2): `shown_ci95`, or those over models where they are `unlike` it."""
-        given = self._given_in
-        return self.shown_ci95 if given is None else np.where(self.printed_over_models[:, None], given, self.shown_ci95)
+        return np.where(self.printed_over_models[:, None], self._given_in, self.shown_ci95)
 
     @cached_property
-    def _given_in(self) -> Floats | None:
-        """95 % intervals over the models that hold a term, (P, 2); None where coefficients are of one model.
-
-        Beside constants they are no narrower than the intervals that are joint with these.
-        """
+    def _given_in(self) -> Floats:
+        """95 % intervals over the models that hold a term, (P, 2), beside constants around those joint with these."""
         given = None if self.shown_posterior.averaged_coef is None else self.over_models.given_in
-        if given is None or not self.shown_constants:
-            return given
-        low, high = np.minimum(given[:, 0], self.shown_ci95[:, 0]), np.maximum(given[:, 1], self.shown_ci95[:, 1])
-        return np.column_stack([low, high])
+        given = self.shown_ci95 if given is None else given
+        return around(given, self.shown_ci95) if self.shown_constants else given
 
     @cached_property
     def printed_over_models(self) -> Bools:
         """Terms whose interval is printed over all models that hold the term, (P,)."""
-        if self._given_in is None:
-            return np.zeros(len(self.terms), dtype=np.bool_)
         return self.shown_posterior.support & unlike(self._given_in, self.shown_ci95)
 
     @cached_property
@@ -324,10 +316,9 @@ class Equation:
         shown, conditional = self.shown_posterior, self.intercept_ci95
         alone = shown.averaged_coef is None or shown.left_out_intercept is not None or self.shown_constants
         over = None if alone else self.over_models.intercept
-        if over is None:
+        if over is None or not unlike(over[None], np.array([conditional]))[0]:
             return conditional
-        low, high = over.tolist() if unlike(over[None], np.array([conditional]))[0] else conditional
-        return low, high
+        return float(over[0]), float(over[1])
 
     @property
     def intercept_over_models(self) -> bool:
@@ -607,9 +598,3 @@ class Equation:
         if self.fit is None:
             raise InputError("a file of equations does not hold what their posterior came from: run discover again")
         return self.fit
-
-
-def with_shown(chain: Chain, terms: Sequence[Expression], shown: Posterior) -> Chain:
-    """The chain, that of a hidden state whose law was found with the terms shown."""
-    pairs = zip(shown.coef.tolist(), terms, shown.support, strict=True)
-    return chain.with_found([(value, term) for value, term, inside in pairs if inside]) if chain.found else chain

@@ -18,8 +18,8 @@ from typing import Any, get_args, get_origin, get_type_hints
 import numpy as np
 
 from bayeq.arrays import Bools, Floats
-from bayeq.equation.answer import DataSummary, EquationTuple, HiddenState
-from bayeq.equation.equation import Equation, with_shown
+from bayeq.equation.answer import DataSummary, EquationTuple, HiddenState, with_shown
+from bayeq.equation.equation import Equation
 from bayeq.equation.equations import Equations
 from bayeq.equation.intervals import OverModels
 from bayeq.equation.schema import Saved, check_content, first_fault

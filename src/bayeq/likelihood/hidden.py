@@ -16,6 +16,7 @@ from bayeq.errors import InputError
 from bayeq.expressions import Evaluator, Expression, Symbol, Unknown, number
 from bayeq.expressions.nodes import replaced
 from bayeq.gram import Gram
+from bayeq.likelihood.fit import State
 from bayeq.likelihood.start import likeliest_by_rows
 from bayeq.states import Chain, Motion, Roles, with_columns, with_hidden
 
@@ -165,6 +166,25 @@ def _forgotten(path: Floats) -> int:
 def with_found_laws(motion: Motion, terms: Sequence[Expression]) -> Motion:
     """The motion with its hidden states integrated at the values that constants have in some terms."""
     return with_hidden(motion, at_values(motion.roles, constants_of(terms))) if motion.roles.hidden else motion
+
+
+def with_laws_of(motion: Motion, terms: Sequence[Expression], state: State) -> Motion:
+    """The motion with its hidden states integrated as a fit has it, by the terms that were found or as it was stated.
+
+    A law that was found and that blows up from rest is not integrated: where it starts is what the record tells.
+    """
+    chains = list(motion.roles.chains)
+    for c, chain in enumerate(chains):
+        if chain.hidden and not chain.stated:
+            pairs = [(x, terms[j]) for k, j, x in zip(*state.chosen, state.theta.tolist(), strict=True) if k == c]
+            chains[c] = chain.with_found(pairs)
+    motion = replace(motion, roles=motion.roles.with_chains(chains))
+    try:
+        return with_found_laws(motion, terms)
+    except InputError:
+        if all(chain.stated for chain in chains if chain.hidden):
+            raise
+        return motion
 
 
 def at_values(roles: Roles, values: Mapping[str, Unknown]) -> Roles:

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.arrays import Bools, Floats
-from bayeq.errors import InputError
 from bayeq.expressions import Expression
 from bayeq.gram import Gram, Standardised
 from bayeq.inference.collapsed.search import scores_of
@@ -21,7 +20,7 @@ from bayeq.likelihood.adequacy import Adequacy, adequacy_of
 from bayeq.likelihood.block import Block, at_its_path
 from bayeq.likelihood.courses import with_other_inputs
 from bayeq.likelihood.fit import Quadratic, State, candidates, of_stated, solved
-from bayeq.likelihood.hidden import with_found_laws
+from bayeq.likelihood.hidden import with_laws_of
 from bayeq.likelihood.lags import lags_of
 from bayeq.likelihood.layout import Stated
 from bayeq.likelihood.levels import LEAST_NOISE
@@ -198,13 +197,11 @@ class RecordFit:
 
     @cached_property
     def flat(self) -> bool:
-        """Whether the record says less about a combination of the coefficients than their prior: equivalent forms of a
-        hidden state whose law was found."""
+        """Whether forms of a hidden state, whose law was found, say the same: of some sum their prior says more."""
         if all(chain.stated for chain in self.task.layout.roles.hidden):
             return False
-        included = np.flatnonzero(self.fitted.model)
-        unit = 1.0 / np.sqrt(self.task.precision[included])
-        information = self.fitted.quadratic.information[np.ix_(included, included)] * np.outer(unit, unit)
+        model, unit = self.fitted.model, 1.0 / np.sqrt(self.task.precision[self.fitted.model])
+        information = self.fitted.quadratic.information[np.ix_(model, model)] * np.outer(unit, unit)
         return bool(np.linalg.eigvalsh(information)[0] < 1.0)
 
     @cached_property
@@ -316,12 +313,7 @@ class RecordFit:
         motion = self.told(motion)
         if not (layout.drift or hidden):
             return motion
-        motion = self._with_laws(motion)
-        try:
-            motion = with_found_laws(motion, layout.terms)
-        except InputError:
-            if all(chain.stated for chain in motion.roles.hidden):
-                raise  # otherwise a law that was found blows up from rest: where it started is what the record tells
+        motion = with_laws_of(motion, layout.terms, self.fitted.state)
         with np.errstate(all="ignore"):
             series, paths = series_and_paths(layout, motion.records)
             own = replace(self.task, series=series, recent=[])
@@ -343,15 +335,6 @@ class RecordFit:
             }
             records.append(replace(rows, **freed))
         return replace(motion, records=tuple(records))
-
-    def _with_laws(self, motion: Motion) -> Motion:
-        """The motion whose hidden states have the terms that were found as their laws."""
-        state, chains = self.fitted.state, list(motion.roles.chains)
-        for c, chain in enumerate(chains):
-            if chain.hidden and not chain.stated:
-                pairs = [(j, x) for k, j, x in zip(*state.chosen, state.theta.tolist(), strict=True) if k == c]
-                chains[c] = chain.with_found([(x, self.task.layout.terms[j]) for j, x in pairs])
-        return replace(motion, roles=motion.roles.with_chains(chains))
 
     def block(self, c: int) -> slice:
         """The candidates of an equation among all."""
@@ -469,8 +452,7 @@ def fit_record(
     """
     with np.errstate(all="ignore"), suppress(np.linalg.LinAlgError):
         some, places = _stretches(motion)
-        log_odds = np.broadcast_to(log_odds, (len(motion.roles.chains), len(terms) + 1))
-        log_odds = first_members(some, terms, log_odds)
+        log_odds = first_members(some, terms, np.broadcast_to(log_odds, (len(motion.roles.chains), len(terms) + 1)))
         starts = []
         for start, own in [(some, grams), *others]:
             with suppress(np.linalg.LinAlgError):
