@@ -53,14 +53,14 @@ eq = bq.discover(rec, displacement="x", velocity="v", acceleration="a", force="u
 
 START = f"""# Gallery
 
-Pictures of an answer and a record. Each is a function of `bayeq.figures`; it takes the equations, the record and, if
-wanted, matplotlib axes to draw on, and returns the axes: `bayeq.figures.free_run(eq, rec, ax=(upper, lower))`. Where
-there are several equations, `target=` names the one meant; `channel=` names a state. They need the extra `plot`.
+Each picture is a function of `bayeq.figures`; it takes the equations, the record and, if wanted, matplotlib axes, and
+returns these: `bayeq.figures.free_run(eq, rec, ax=(upper, lower))`. Where there are several equations, `target=` names
+the one meant; `channel=` names a state. They need the extra `plot`.
 
 The report, `eq.report("out.html", rec)` or `bayeq discover ... --report out.html`, holds them with hover values (extra
 `report`); bars of probabilities only where something is undecided, and none of an equation that was not found.
 
-The pictures of this page are of a simulated Duffing oscillator with 5 % noise on every channel:
+Here of a simulated Duffing oscillator with 5 % noise:
 
 ```python
 {CODE}

@@ -184,9 +184,9 @@ def test_a_model_that_starts_lead_to_again_is_fitted_once(monkeypatch):
         fitted.append(task.model(state.chosen).tobytes())
         return fit(task, state, beside)
 
-    def through_noted(task, starts):
+    def through_noted(task, starts, finish):
         met, tried = len(fitted), []
-        found = through(task, (tried.append(one) or one for one in starts))
+        found = through(task, (tried.append(one) or one for one in starts), finish)
         searches.append((len(tried), fitted[met:]))
         return found
 
