@@ -32,7 +32,7 @@ def dictionaries_of(
     InputError
         A hidden state without a law has no dictionary, or is no candidate by itself.
     """
-    targets = [chain.target for chain in roles.chains if not chain.stated]
+    targets = roles.sought
     found = roles.hidden[: len(targets) - len(roles.seen.chains)]
     if found and of_equations(dictionary, targets) is None:
         raise ChainError(

@@ -245,8 +245,7 @@ class Question:
     @property
     def _seen_dictionary(self) -> Specification:
         """The dictionary without that of a hidden state."""
-        targets = [chain.target for chain in self.roles.chains if not chain.stated]
-        given = of_equations(self.dictionary, targets)
+        given = of_equations(self.dictionary, self.roles.sought)
         return self.dictionary if given is None else {target: given[target] for target in self.roles.seen.targets}
 
     @property

@@ -454,9 +454,9 @@ def fit_record(
         some, places = _stretches(motion)
         log_odds = first_members(some, terms, np.broadcast_to(log_odds, (len(motion.roles.chains), len(terms) + 1)))
         starts = []
-        for start, own in [(some, grams), *others]:
+        for start, own in [(motion, grams), *others]:
             with suppress(np.linalg.LinAlgError):
-                starts.append(start_from(start, terms, own, log_odds, tolerance, stated, conserved))
+                starts.append(start_from(_stretches(start)[0], terms, own, log_odds, tolerance, stated, conserved))
         for finish in (False, True):  # of a model on the way a fit may fail
             with suppress(np.linalg.LinAlgError):
                 return _fitted(motion, some, places, starts, finish)

@@ -93,9 +93,8 @@ def lags_of_design(design: Design, dictionary: Specification, prior: Prior | Non
 def _log_odds(design: Design, dictionary: Specification, prior: Prior | None) -> Floats:
     """Of every candidate of each equation, and of the constant, not being zero, (C, P + 1)."""
     roles = design.motion.roles
-    targets = [chain.target for chain in roles.chains if not chain.stated]
-    given = of_equations(dictionary, targets)
-    own = [_of_dictionary(design, dictionary if given is None else given[t], prior) for t in targets]
+    given = of_equations(dictionary, roles.sought)
+    own = [_of_dictionary(design, dictionary if given is None else given[t], prior) for t in roles.sought]
     out = np.array([*own, *(np.full(len(design.terms) + 1, -np.inf) for _ in roles.chains[len(own) :])])
     out[:, :-1][~design.allowed] = -np.inf
     out[[chain.hidden for chain in roles.chains], -1] = -np.inf  # another zero of the state says the same

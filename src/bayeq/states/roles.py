@@ -324,6 +324,11 @@ class Roles:
         return tuple(chain.target for chain in self.chains)
 
     @property
+    def sought(self) -> tuple[str, ...]:
+        """Targets of the equations that are not stated, which stand first."""
+        return tuple(chain.target for chain in self.chains if not chain.stated)
+
+    @property
     def states(self) -> tuple[str, ...]:
         """All other derivatives, chain by chain."""
         return tuple(name for chain in self.chains for name in chain.states)
