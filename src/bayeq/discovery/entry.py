@@ -412,30 +412,32 @@ def _answer(
             raise InputError("Dask collections are read by a cluster: give client=, a dask.distributed.Client")
         records = _whole_streams(dask_streams(records, client, channels, t))
     extents = extents_of(records, t, stream, clustered=client is not None)
-    if extents is not None:
-        extents = of_channels(extents, channels)
-        try:
-            whole = _whole(question, extents, executor, checkpoint)
-            found = question.answer(stretches(extents), whole)
-            whole.checkpoints.clear()
-        except NotStreamed as why:
-            if stream or client is not None:
-                raise
-            return _of_stretches(question, extents, why)
-        except KeyboardInterrupt as stop:
-            if (folder := whole.checkpoints.kept) is not None:
-                stop.add_note(f"sums over the rows are kept in {folder}; the same command continues")
+    required = extents is not None and (stream or client is not None)
+    if extents is None:
+        measured = with_row_numbers(as_records(records, t))
+        long = sum(record.n for record in measured) > MOST_ROWS and not question.roles.discrete
+        if not (long and (question.smooth == "auto" or (client is not None and question.smooth == "none"))):
+            return question.answer(measured)
+        extents, checkpoint = _whole_streams(map(RecordStream, measured)), None
+    extents = of_channels(extents, channels)
+    try:
+        return _of_all_rows(question, extents, _whole(question, extents, executor, checkpoint))
+    except NotStreamed as why:
+        if required:
             raise
-        return found
-    measured = with_row_numbers(as_records(records, t))
-    long = sum(record.n for record in measured) > MOST_ROWS and not question.roles.discrete
-    if long and (question.smooth == "auto" or (client is not None and question.smooth == "none")):
-        rows = of_channels(_whole_streams(map(RecordStream, measured)), channels)
-        try:
-            return question.answer(stretches(rows), _whole(question, rows, executor, None))
-        except NotStreamed as why:
-            return _of_stretches(question, rows, why)
-    return question.answer(measured)
+        return _of_stretches(question, extents, why)
+
+
+def _of_all_rows(question: Question, rows: tuple[Extent, ...], whole: Whole) -> tuple[Equations, WarningLog]:
+    """The answer from sums over all rows, which are kept until there is one."""
+    try:
+        found = question.answer(stretches(rows), whole)
+    except KeyboardInterrupt as stop:
+        if (folder := whole.checkpoints.kept) is not None:
+            stop.add_note(f"sums over the rows are kept in {folder}; the same command continues")
+        raise
+    whole.checkpoints.clear()
+    return found
 
 
 def _of_stretches(question: Question, rows: tuple[Extent, ...], why: NotStreamed) -> tuple[Equations, WarningLog]:

@@ -15,7 +15,7 @@ from bayeq.dictionary.ranges import with_ranges
 from bayeq.equation.answer import HiddenState
 from bayeq.errors import ChainError, InputError
 from bayeq.expressions import Expression
-from bayeq.likelihood.hidden import seen_in, with_first_paths
+from bayeq.likelihood.hidden import SHARES, seen_in, with_first_paths
 from bayeq.likelihood.record_fit import RecordFit
 from bayeq.regression.constraints import Constraints
 from bayeq.regression.design import Design, build_design
@@ -29,8 +29,8 @@ def dictionaries_of(
 
     Raises
     ------
-    InputError
-        A hidden state without a law has no dictionary, or is no candidate by itself.
+    ChainError
+        A hidden state without a law has no dictionary.
     """
     targets = roles.sought
     found = roles.hidden[: len(targets) - len(roles.seen.chains)]
@@ -39,14 +39,14 @@ def dictionaries_of(
             f'chain {found[0]} has no measured channel: state its rate, --law "{targets[-1]} = ...", or give each'
             f' equation a dictionary, "{targets[0]}: ...; {targets[-1]}: ..."'
         )
-    terms, allowed = build_dictionaries(dictionary, targets, variables)
-    for chain in found:
-        seen_in(chain, roles, terms, allowed)
-    return terms, allowed
+    return build_dictionaries(dictionary, targets, variables)
 
 
 def check_scales(roles: Roles, terms: Sequence[Expression], allowed: Bools, constraints: Sequence[Constraints]) -> None:
-    """Refuse, by an InputError, another coefficient where a hidden state has 1 for its scale, unless as measured."""
+    """Refuse, by an InputError, a hidden state that is no candidate by itself, and another scale than its 1 there.
+
+    Unless that is said as if it had been measured.
+    """
     for chain in roles.hidden:
         if not chain.stated:
             c, j = seen_in(chain, roles, terms, allowed)
@@ -107,7 +107,7 @@ def other_starts(design: Design) -> list[Design]:
     roles = design.motion.roles
     if not any(chain.law is None for chain in roles.hidden):
         return []
-    motions = with_first_paths(design.motion, roles, design.terms, design.allowed)[1:]
+    motions = with_first_paths(design.motion, roles, design.terms, design.allowed, SHARES[1:])
     found = [build_design(design.terms, motion, allowed=design.allowed) for motion in motions]
     return [one for one in found if one.names == design.names]
 

@@ -26,7 +26,7 @@ from bayeq.expressions import Expression
 from bayeq.expressions.functions import CONSTANTS, TIME
 from bayeq.forecast.score import Scores
 from bayeq.inference.prior import SIGNED, Prior
-from bayeq.likelihood.hidden import with_first_laws, with_first_paths, with_found_laws
+from bayeq.likelihood.hidden import SHARES, with_first_laws, with_first_paths, with_found_laws
 from bayeq.likelihood.lags import first_lags
 from bayeq.likelihood.layout import Stated
 from bayeq.likelihood.record_fit import RecordFit, refit_record
@@ -172,7 +172,7 @@ class Question:
         if record is None and self.tails == "student":
             log.warn(NO_TAILS, DataWarning)
         _require_likelihood(motion, record, whole)
-        hidden = hidden_states(design, record, replace(self, dictionary=self._seen_dictionary)._likelihood)
+        hidden = hidden_states(design, record, partial(self._likelihood, dictionary=self._seen_dictionary))
         if any(one.log_odds_without > -CLEARLY for one in hidden):
             return self._without_hidden(hidden, records)
         design = self._at_values(design, record)
@@ -225,7 +225,7 @@ class Question:
         laws = [one if one.law is None else one.with_law(terms[self.terms.index(one.law)]) for one in self.roles.hidden]
         roles = motion.roles.with_chains([*motion.roles.chains, *laws])
         if not laws[0].stated:
-            return with_first_paths(motion, roles, terms, self.allowed)[0], terms
+            return with_first_paths(motion, roles, terms, self.allowed, SHARES[:1])[0], terms
         return with_first_laws(motion, roles, terms, self.allowed)
 
     def _without_hidden(

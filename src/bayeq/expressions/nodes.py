@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property, partial, reduce
+from functools import cached_property
 from typing import Any, TypeAlias
 
 from bayeq.errors import ExpressionError
@@ -292,9 +292,3 @@ class Expression:
 
     def __repr__(self) -> str:
         return f"parse({self.text!r})"
-
-
-def summed(parts: Iterable[tuple[float, Expression]]) -> Expression:
-    """The sum of some expressions times numbers; 0 of none."""
-    products = [Binary("*", number(factor), one.tree) for factor, one in parts]
-    return Expression(reduce(partial(Binary, "+"), products) if products else Number(0))

@@ -147,7 +147,9 @@ def blur_of(
     """
     n, columns = len(path), _columns(layout, series, path)
     if layout.implicit:
-        columns |= _targets(layout, columns, chosen, theta)
+        free, shared = layout.targets_along(columns, chosen, theta, layout.terms)
+        targets = free + np.einsum("nij,nj->ni", shared, path[:, layout.discrepancy])
+        columns |= dict(zip(layout.roles.targets, targets.T, strict=True))
     evaluate = Evaluator(columns)
     width = np.zeros((n, len(layout.jumps)))
     left_out = np.zeros((n, layout.chains))
@@ -209,18 +211,6 @@ def _held(
         pull += gradient[:, last] * rates[-1] * half[:, c]
     drawn = np.abs(rest) < -pull
     return np.flatnonzero(drawn[:-1] & drawn[1:] & (share[1:] > LIKELIHOOD.unresolved))
-
-
-def _targets(layout: Layout, columns: Mapping[str, Floats], chosen: Candidates, theta: Floats) -> dict[str, Floats]:
-    """The targets of implicit equations along a path, (n,) each."""
-    values = {f"theta[{j}]": value for j, value in enumerate(theta.tolist())}
-    evaluate = Evaluator({**columns, **values})
-    free, inverted = layout.solved(chosen, layout.terms)
-    forces = [columns[f"d[{c}]"] for c in range(layout.chains)]
-    return {
-        target: evaluate(Expression(own)) + sum(evaluate(Expression(g)) * d for g, d in zip(row, forces, strict=True))
-        for target, own, row in zip(layout.roles.targets, free, inverted, strict=True)
-    }
 
 
 def _at_both_ends(values: Floats) -> Floats:

@@ -92,18 +92,21 @@ def seen_in(chain: Chain, roles: Roles, terms: Sequence[Expression], allowed: Bo
         There is none.
     """
     name = chain.names[0]
-    for j in [j for j, term in enumerate(terms) if term.tree == Symbol(name)]:
-        for c in np.flatnonzero(allowed[: len(roles.seen.chains), j]):
-            return int(c), j
+    for j, term in enumerate(terms):
+        seen = np.flatnonzero(allowed[: len(roles.seen.chains), j])
+        if term.tree == Symbol(name) and len(seen):
+            return int(seen[0]), j
     raise InputError(f"chain {chain}: no equation has {name} by itself as a term, which sets its scale: add it")
 
 
-def with_first_paths(motion: Motion, roles: Roles, terms: Sequence[Expression], allowed: Bools) -> tuple[Motion, ...]:
+def with_first_paths(
+    motion: Motion, roles: Roles, terms: Sequence[Expression], allowed: Bools, shares: Sequence[float]
+) -> tuple[Motion, ...]:
     """The motion with first paths of a hidden state whose law is to be found, one for each start of a search.
 
-    A path is what a regression of the equation that the state is seen in leaves, and a share of its spring: the state
-    may be one, too. Rates are those by the likeliest candidates for its changes over the time in which it forgets, for
-    rates of what is left are mostly noise.
+    A path is what a regression of the equation that the state is seen in leaves, and a share of its spring, if it has
+    one: the state may be one, too. Rates are those by the likeliest candidates for its changes over the time in which
+    it forgets, for rates of what is left are mostly noise.
     """
     (chain,) = roles.hidden
     (z, dz), (c, _) = chain.names, seen_in(chain, roles, terms, allowed)
@@ -123,7 +126,7 @@ def with_first_paths(motion: Motion, roles: Roles, terms: Sequence[Expression], 
     springs = [i for i, term in enumerate(others) if isinstance(term.tree, Symbol) and term.text in places]
     spring = max(springs, key=lambda i: abs(coef[i]) * unit[i], default=None)
     found = []
-    for share in SHARES[:1] if spring is None else SHARES:
+    for share in shares if spring is not None else [one for one in shares if one == 0.0]:
         paths = []
         for rows, D in zip(motion.records, columns, strict=True):
             left = rows.columns[seen.target] - gram.target_mean - (D - gram.mean) @ coef
@@ -138,6 +141,8 @@ def with_first_paths(motion: Motion, roles: Roles, terms: Sequence[Expression], 
 
 def _rates(motion: Motion, terms: Sequence[Expression], paths: Sequence[Mapping[str, Floats]]) -> list[Floats]:
     """The rate of a hidden state by those of its candidates that its changes ask for, from its path in each record."""
+    from scipy.integrate import cumulative_trapezoid
+
     columns = [
         evaluate_terms(terms, {**rows.columns, **path}) for rows, path in zip(motion.records, paths, strict=True)
     ]
@@ -147,8 +152,7 @@ def _rates(motion: Motion, terms: Sequence[Expression], paths: Sequence[Mapping[
         (values,) = path.values()
         ahead = _forgotten(values[: rows.n])
         first = np.arange(0, rows.n - ahead, max(1, ahead // 2))
-        areas = 0.5 * np.diff(rows.time)[:, None] * (D[1 : rows.n] + D[: rows.n - 1])
-        whole = np.vstack([np.zeros(D.shape[1]), np.cumsum(areas, axis=0)])
+        whole = cumulative_trapezoid(D[: rows.n], rows.time, axis=0, initial=0)
         changes.append(values[first + ahead] - values[first])
         sums.append(whole[first + ahead] - whole[first])
     gram = Gram.from_data(np.concatenate(sums), np.concatenate(changes), tuple(term.text for term in terms))

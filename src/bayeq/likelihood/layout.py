@@ -7,7 +7,7 @@ Between samples discrepancies, drifts and the highest derivatives of inputs are 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, NamedTuple
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.arrays import Floats, Ints
-from bayeq.expressions import Binary, Call, Expression, Node, Number, Symbol, Tape, number
+from bayeq.expressions import Binary, Call, Evaluator, Expression, Node, Number, Symbol, Tape, number
 from bayeq.expressions.functions import TIME
 from bayeq.expressions.implicit import solved
 from bayeq.expressions.nodes import replaced
@@ -287,16 +287,25 @@ class Layout:
         """Whether terms hold targets (`bayeq.expressions.implicit`)."""
         return any(term.names.intersection(self.roles.targets) for term in self.terms)
 
-    def solved(
-        self, chosen: Candidates, terms: Sequence[Expression] | None = None
-    ) -> tuple[list[Node], list[list[Node]]]:
-        """The targets without their discrepancies, and (I - A)^-1 of the mass matrix I - A; of the blurred terms."""
-        terms = self.blurred if terms is None else terms
+    def solved(self, chosen: Candidates, terms: Sequence[Expression]) -> tuple[list[Node], list[list[Node]]]:
+        """The targets without their discrepancies, and (I - A)^-1 of the mass matrix I - A."""
         summed: list[list[tuple[Node, Expression]]] = [[] for _ in range(self.chains)]
         for k, (c, j) in enumerate(zip(chosen.chain.tolist(), chosen.term.tolist(), strict=True)):
             term = terms[j] if j < len(terms) else Expression(number(1))
             summed[c].append((Symbol(f"theta[{k}]"), term))
         return solved(summed, self.roles.targets)
+
+    def targets_along(
+        self, columns: Mapping[str, Floats], chosen: Candidates, theta: Floats, terms: Sequence[Expression]
+    ) -> tuple[Floats, Floats]:
+        """The same along a path, (n, C) and (n, C, C), where its terms have these columns."""
+        free, inverted = self.solved(chosen, terms)
+        values = {f"theta[{j}]": value for j, value in enumerate(theta.tolist())}
+        evaluate = Evaluator({**columns, **values})
+        shared = [[evaluate(Expression(node)) for node in row] for row in inverted]
+        return np.stack([evaluate(Expression(node)) for node in free], axis=1), np.moveaxis(
+            np.array(shared), 2, 0
+        ).copy()
 
     def tape(self, chosen: Candidates) -> Tape:
         """Rates of the states (of maps next values), targets, chosen terms, in states, t, widths and coefficients.
@@ -308,7 +317,7 @@ class Layout:
         terms: list[Node] = [self.blurred[j].tree if j < len(self.terms) else number(1) for j in chosen.term]
         further: list[Node] = []
         if self.implicit:
-            free, inverted = self.solved(chosen)
+            free, inverted = self.solved(chosen, self.blurred)
             targets = [Binary("+", one, d) for one, d in zip(free, targets, strict=True)]
             values: dict[Node, Node] = dict(zip(map(Symbol, self.roles.targets), free, strict=True))
             terms = [replaced(term, values) for term in terms]

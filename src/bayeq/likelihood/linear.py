@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from bayeq.arrays import Floats, Ints
 from bayeq.dictionary import evaluate_terms
-from bayeq.expressions import Evaluator, Expression
 from bayeq.likelihood.blur import Blur, Hold, crossings, first_blur
 from bayeq.likelihood.layout import Candidates, Layout, Series
 from bayeq.likelihood.settings import LIKELIHOOD
@@ -304,11 +303,7 @@ def targets_along(
     chains = layout.chains
     if not layout.implicit:
         return np.zeros((0, chains)), np.zeros((0, chains, chains))
-    free, inverted = layout.solved(chosen)
-    values = {f"theta[{j}]": value for j, value in enumerate(theta.tolist())}
-    evaluate = Evaluator({**_columns(layout, path, inputs), **values})
-    shared = [[evaluate(Expression(node)) for node in row] for row in inverted]
-    return np.stack([evaluate(Expression(node)) for node in free], axis=1), np.moveaxis(np.array(shared), 2, 0).copy()
+    return layout.targets_along(_columns(layout, path, inputs), chosen, theta, layout.blurred)
 
 
 def terms_at(layout: Layout, path: Floats, inputs: Floats, free: Floats) -> Floats:

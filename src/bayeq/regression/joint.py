@@ -69,8 +69,8 @@ def record_of(
     for own, odds in zip(constraints, log_odds, strict=False):  # of none there may be no constraints
         odds[:-1][own.forced & (odds[:-1] > -np.inf)] = np.inf
     starts = [(one.motion, one.train) for one in others]
-    asked = (design.terms, log_odds, design.train, tolerance, (*stated, *ties), conserved, starts)
-    return fit_record(design.motion, *asked)
+    stated += ties
+    return fit_record(design.motion, design.terms, log_odds, design.train, tolerance, tuple(stated), conserved, starts)
 
 
 def lags_of_design(design: Design, dictionary: Specification, prior: Prior | None) -> tuple[Mapping[str, Lag], float]:

@@ -8,9 +8,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from bayeq.errors import ChainError, InputError, require_text, require_texts
-from bayeq.expressions import Expression
+from bayeq.expressions import Expression, number
 from bayeq.expressions.functions import TIME
-from bayeq.expressions.nodes import summed
+from bayeq.expressions.implicit import product, total
 from bayeq.expressions.parse import EARLIER
 from bayeq.records.names import channel_name
 
@@ -73,7 +73,8 @@ class Chain:
 
     def with_found(self, parts: Iterable[tuple[float, Expression]]) -> Chain:
         """The chain of a hidden state whose law was found: coefficients and terms."""
-        return replace(self, law=summed(parts), found=True)
+        law = Expression(total([product(number(factor), term.tree) for factor, term in parts]))
+        return replace(self, law=law, found=True)
 
     @property
     def stated(self) -> bool:
