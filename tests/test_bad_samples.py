@@ -91,6 +91,14 @@ def test_a_clipped_channel_is_found(duffing, name):
     assert found(clipped) == {name: {"clipped": np.flatnonzero(np.abs(duffing[name]) >= peak).tolist()}}
 
 
+def test_an_input_is_shut_at_zero_and_a_state_is_clipped_there(duffing):
+    valve = duffing.with_channels({"u": np.maximum(duffing["u"], 0.0)})
+    assert found(valve) == {}
+    assert bq.check_record(valve, ["x:v:a"], ["u"]) == []
+    states = duffing.with_channels({"x": np.maximum(duffing["x"], 0.0)})
+    assert found(states)["x"]["clipped"] == np.flatnonzero(duffing["x"] <= 0.0).tolist()
+
+
 def test_messages_name_channel_rows_and_share(duffing):
     rows = [120, 1033, 1511, 1800]
     spoiled = changed(duffing, "x", rows, 1.0)

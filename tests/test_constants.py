@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
+from studies.constants import kinetics
 
 import bayeq as bq
 from bayeq.dictionary import Variables, build_dictionaries, build_dictionary
@@ -21,6 +22,7 @@ from bayeq.equation.units import constant_units
 from bayeq.equation.written import at_end
 from bayeq.errors import DataWarning, ExpressionError, InputError
 from bayeq.expressions import Evaluator, Unknown, parse
+from bayeq.likelihood.spike import Soft
 from bayeq.likelihood.unknowns import ConstantEstimate, _derivative
 from bayeq.records import Record
 
@@ -368,6 +370,46 @@ def test_first_order_kinetics():
     eq = found(record, "x, x**2, u, x/({K} + x)", chains="x", noise={"u": 0.0}, holdout=0.0).equations[0]
     assert set(eq.shown) == {"u", "x/({K}+x)"}
     assert eq.constants[0].ci95[0] < 0.4 < eq.constants[0].ci95[1]
+
+
+def test_terms_are_judged_with_the_constant_free():
+    """Given the value of {K} that a false constant asks for, this had a PIP of 0.82."""
+    record, truth, parameters = kinetics(0.05, 300003)
+    eq = found(record, "x, x**2, x**3, u, x/({K}+x)", chains="x", noise={"u": 0.0}).equations[0]
+    assert set(eq.shown) == set(truth)
+    assert eq.constants[0].ci95[0] < parameters["K"] < eq.constants[0].ci95[1]
+
+
+def test_the_evidence_of_a_model_has_its_constants_integrated_out(answer):
+    """Constants are coefficients of what the terms change by, with their range as prior, of models of these terms."""
+    eq = answer.equations[0]
+    record = eq.fit.regression.record
+    task = record.task
+    soft = Soft.of(task, record.fitted)
+    (constant,) = soft.constants
+    assert constant.name == "v0"
+    tau, A = (0.01,), soft.whole.information
+    slope = soft.whole.slope  # about zero: the fit's coefficients are part of the deviation
+    direct, log_odds = [], np.where(np.isfinite(task.log_odds), task.log_odds, 0.0)
+    found = dict(zip(map(bytes, soft.models(tau).models), soft.models(tau).log_posterior, strict=True))
+    models = [np.frombuffer(key, dtype=np.bool_) for key in list(found)[:20]]
+    models = [model for model in models if model[constant.of[1]]]
+    assert len(models) > 3
+    for model in models:
+        slabs = np.zeros(len(soft.about))
+        slabs[soft.visible[model]] = task.precision[model] ** -0.5
+        slabs[constant.column] = math.log(constant_range(eq)) / math.sqrt(12.0)
+        S = np.hstack([np.diag(slabs)[:, slabs > 0], tau[0] * soft.spreads[0]])
+        root = np.linalg.cholesky(np.eye(S.shape[1]) + S.T @ A @ S)
+        w = np.linalg.solve(root, S.T @ slope)
+        direct.append(0.5 * w @ w - np.log(np.diagonal(root)).sum() + log_odds[model].sum())
+    listed = [found[model.tobytes()] for model in models]
+    np.testing.assert_allclose(np.subtract(listed, listed[0]), np.subtract(direct, direct[0]), atol=0.02)
+
+
+def constant_range(eq):
+    """Largest over least value of a scale."""
+    return eq.constants[0].high / eq.constants[0].low
 
 
 def test_a_gap_and_a_constant_of_two_terms():

@@ -83,6 +83,11 @@ def middle(constant: Unknown) -> float:
     return to_plain(constant, 0.5 * (to_scale(constant, constant.low) + to_scale(constant, constant.high)))
 
 
+def extent(constant: Unknown) -> float:
+    """The range of a constant, on its scale."""
+    return to_scale(constant, constant.high) - to_scale(constant, constant.low)
+
+
 def families(terms: Sequence[Expression]) -> list[list[int]]:
     """Terms that share constants, as their numbers; terms without any are in none."""
     found: list[tuple[set[str], list[int]]] = []

@@ -478,9 +478,8 @@ def _inspect(motion: Motion, records: Sequence[Record], holdout: float, log: War
     if motion.roles.discrete:
         return
     present = [bridged_record(record, motion.roles, MOST_BRIDGED) for record in records]
-    log.extend(
-        check_messages(present, [chain.measured for chain in motion.roles.chains], motion.roles.inputs), DataWarning
-    )
+    chains, before = [chain.measured for chain in motion.roles.chains], [record.n for record in records]
+    log.extend(check_messages(present, chains, motion.roles.inputs, before), DataWarning)
 
 
 def _constrained(known: Sequence[str], design: Design, method: str) -> tuple[Constraints, ...]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -225,7 +225,7 @@ def find_bad(records: Sequence[Record], guess: Guess, names: Sequence[str]) -> t
     """
     found: Bad = {}
     total = sum(record.n for record in records)
-    _clipped(records, names, found)
+    _clipped(records, names, {name for chain in guess.chains for name in chain}, found)
     timed = all(record.time is not None for record in records)
     # a square of what is larger is infinite
     names = [name for name in names if all(np.nanmax(np.abs(r[name]), initial=0.0) <= LARGEST for r in records)]
@@ -248,13 +248,13 @@ def find_bad(records: Sequence[Record], guess: Guess, names: Sequence[str]) -> t
     return {name: {kind: one[kind] for kind in BAD if kind in one} for name, one in order.items()}, looked
 
 
-def _clipped(records: Sequence[Record], names: Sequence[str], found: Bad) -> None:
+def _clipped(records: Sequence[Record], names: Sequence[str], motion: Set[str | None], found: Bad) -> None:
     for name in names:
         values = np.concatenate([record[name] for record in records])
         known = values[np.isfinite(values)]
         if not any(_stays(known == level) for level in (known.max(), known.min())):
             continue
-        for one in clipped_levels(known):
+        for one in clipped_levels(known, shut=name not in motion):
             rows = found.setdefault(name, {}).setdefault("clipped", [])
             rows.extend((np.flatnonzero(values == one.level) + 1).tolist())
 

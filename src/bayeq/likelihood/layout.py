@@ -139,6 +139,11 @@ class Layout:
         return self.roles.discrete
 
     @cached_property
+    def has_constants(self) -> bool:
+        """Whether terms hold constants of unknown value."""
+        return any(term.unknowns for term in self.terms)
+
+    @cached_property
     def chains(self) -> int:
         """C, the number of equations."""
         return len(self.roles.chains)

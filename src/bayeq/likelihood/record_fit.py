@@ -25,9 +25,10 @@ from bayeq.likelihood.lags import lags_of
 from bayeq.likelihood.layout import Stated
 from bayeq.likelihood.levels import LEAST_NOISE
 from bayeq.likelihood.model import Fitted, Task, finished, fit, from_all_levels, of_motion, with_model
+from bayeq.likelihood.neighbours import among_neighbours
 from bayeq.likelihood.power import power_of
 from bayeq.likelihood.projection import Leftover, leftover
-from bayeq.likelihood.search import among_neighbours, from_starts, resumed, search
+from bayeq.likelihood.search import from_starts, resumed, search
 from bayeq.likelihood.settings import LIKELIHOOD
 from bayeq.likelihood.spike import Nearly, Soft, among_fitted, averaged, of_gram, soft_of
 from bayeq.likelihood.start import carried_over, series_and_paths, start_from
@@ -88,9 +89,9 @@ class RecordFit:
         found = cls(task, fitted, *averaged(task, fitted, soft), fitted.evidence)
         if fitted.power == 1.0 and not max(found.nearly.exact) < LIKELIHOOD.nearly_true:
             # otherwise to be likelier under an exact law, as more terms are, says nothing
-            best = among_neighbours(task, fitted)
-            soft = soft if best is fitted else soft_of(task, best)
-            fitted, found = best, cls(task, best, *averaged(task, best, soft), best.evidence)
+            task, best = among_neighbours(task, fitted)
+            soft, fitted = soft if best is fitted else soft_of(task, best), best
+            found = cls(task, best, *averaged(task, best, soft), best.evidence)
         included = found.about(found.posterior.support)
         lost = fitted.evidence - included.fitted.evidence
         # where innovations are correlated a fit of another model is no more to be relied on than the raised Gram
@@ -216,7 +217,7 @@ class RecordFit:
         return self._jointly(self.fitted.power)
 
     def _jointly(self, power: float) -> tuple[Floats, tuple[ConstantEstimate, ...]] | None:
-        if not any(term.unknowns for term in self.task.layout.terms):
+        if not self.task.layout.has_constants:
             return None
         task = replace(self.task, precision=LIKELIHOOD.unshrunk * self.task.precision, recent=[])
         with np.errstate(all="ignore"):
@@ -354,10 +355,10 @@ class RecordFit:
     def _softened(self) -> Quadratic:
         """The same where nothing is conserved; without functions where they cannot be evaluated."""
         tau = self.nearly.tau
-        try:
-            return Soft.of(self.task, self.fitted).quadratic(tau)[0] if any(tau) else self.fitted.quadratic
-        except np.linalg.LinAlgError:
-            return self.fitted.quadratic
+        with suppress(np.linalg.LinAlgError):
+            if any(tau) or self.task.layout.has_constants:
+                return Soft.of(self.task, self.fitted).quadratic(tau)[0]
+        return self.fitted.quadratic
 
     @cached_property
     def standards(self) -> tuple[Standardised, ...]:
@@ -546,10 +547,9 @@ def refit_record(
             found: RecordFit | None = _resumed(motion, former.task, former.fitted, places)
     except np.linalg.LinAlgError:
         found = None
-    most = np.maximum(LIKELIHOOD.adequate, former.kappa * (1.0 + 2.0 * former.kappa_error))
+    task, most = former.task, np.maximum(LIKELIHOOD.adequate, former.kappa * (1.0 + 2.0 * former.kappa_error))
     if found is not None and found.own and (found.kappa <= most).all():
         return found
-    task = former.task
     log_odds = task.log_odds if task.ranges is None else task.log_odds - task.ranges
     stated, conserved = task.layout.stated, None
     if task.flows is not None:

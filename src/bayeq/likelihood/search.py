@@ -5,7 +5,7 @@
 2. `bayeq.likelihood.courses.with_other_inputs`: other courses of the inputs between samples are tried.
 3. `from_all_levels` fits the model.
 4. `resumed`: what was found on some rows is fitted to all, in rounds as in 1.
-5. `among_neighbours`: flips and swaps of single terms, each compared by the evidence of its own fit.
+5. `bayeq.likelihood.neighbours`: flips and swaps of single terms, each compared by the evidence of its own fit.
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ from bayeq.likelihood.fit import State
 from bayeq.likelihood.model import (
     Fitted,
     Task,
-    calmed,
     finer,
     fit,
     from_all_levels,
@@ -47,9 +46,6 @@ MOST_AT_ONCE = 40
 
 # With more samples than this the Gram of a fit tells its neighbours apart, and they are not fitted.
 MOST_TO_MOVE = 100_000
-
-# Moves to a neighbour, at most.
-MOVES = 5
 
 # Factors by which the variance of coefficients' priors may be wider, where that is likelier by this many nats.
 WIDER, CLEARLY = (10.0, 100.0), 3.0
@@ -228,33 +224,5 @@ def resumed(task: Task, state: State) -> Fitted:
     """The best model of a task, looked for from a fit of some of its rows (`bayeq.likelihood.start.carried_over`)."""
     _, best = rounds(task, state, coarse=False)
     best = over_all_sizes(task, with_small_discrepancy(task, best) if task.rows > MOST_TO_MOVE else best)
-    task.recent.clear()
-    return best
-
-
-def among_neighbours(task: Task, best: Fitted) -> Fitted:
-    """The model that single moves lead to, each compared by its own fit; with many samples the Gram suffices."""
-    if task.rows > MOST_TO_MOVE:
-        return best
-    tried = {best.model.tobytes(): best.evidence}
-    for _ in range(MOVES):
-        better = best
-        chosen = task.narrow(best.model)
-        for move in neighbours(task.problem(best.quadratic), chosen, LIKELIHOOD.neighbour_window)[
-            : LIKELIHOOD.neighbours
-        ]:
-            model = task.wide(move.apply(chosen))
-            if model.tobytes() in tried:
-                continue
-            try:
-                other = over_all_sizes(task, fit(task, calmed(with_model(task, best, model))), best)
-            except np.linalg.LinAlgError:
-                continue
-            tried[model.tobytes()] = other.evidence
-            better = max(better, other, key=lambda one: one.evidence)
-        if better is best:
-            break
-        best = better
-    best.tried.update(tried)
     task.recent.clear()
     return best

@@ -11,17 +11,19 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.arrays import Floats
+from bayeq.arrays import Bools, Floats
 from bayeq.dictionary.polynomial import count, monomials
+from bayeq.dictionary.ranges import constants_of, extent
 from bayeq.expressions import Expression, parse
 from bayeq.gram import Gram
 from bayeq.inference.bma import average_models, spike_slab_bma
 from bayeq.inference.collapsed.listing import ModelSet
-from bayeq.inference.collapsed.search import best_models
+from bayeq.inference.collapsed.search import best_models, scores_of
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.adjoint import Adjoint
 from bayeq.likelihood.fit import (
@@ -35,9 +37,10 @@ from bayeq.likelihood.fit import (
     marginal,
     solved,
 )
-from bayeq.likelihood.layout import Layout
+from bayeq.likelihood.layout import Candidates, Layout
 from bayeq.likelihood.model import Fitted, Task
 from bayeq.likelihood.settings import LIKELIHOOD
+from bayeq.likelihood.unknowns import tangents_of
 
 Sizes = tuple[float, ...]
 
@@ -173,6 +176,40 @@ def hidden_terms(layout: Layout, fewest: int) -> tuple[Expression, ...]:
     return tuple(parse(text, states) for text in monomials(states, degree) if text not in own)
 
 
+class Freed(NamedTuple):
+    """What a term of a model changes by with one of its constants.
+
+    Attributes
+    ----------
+    name : str
+        Of the constant.
+    of : (int, int)
+        Numbers of the equation and of the term.
+    change : Expression
+        By a unit on the scale of the constant.
+    column : int
+        Of the change, among all candidates of an equation.
+    deviation : float
+        Standard deviation of the constant's prior.
+    """
+
+    name: str
+    of: tuple[int, int]
+    change: Expression
+    column: int
+    deviation: float
+
+
+def freed(layout: Layout, state: State, first: int) -> list[Freed]:
+    """The constants of every term of a fit; their columns stand from `first` on."""
+    constants, out = constants_of(layout.terms), list[Freed]()
+    for k, of in enumerate(zip(state.chosen.chain.tolist(), state.chosen.term.tolist(), strict=True)):
+        for one in tangents_of(layout, state.chosen.take(np.array([k])), state.theta[[k]]):
+            deviation = extent(constants[one.name]) / np.sqrt(12.0)
+            out.append(Freed(one.name, of, one.change, first + len(out), deviation))
+    return out
+
+
 @dataclass(eq=False)
 class Soft:
     """The likelihood of all candidates about a fit, beside functions of some size in each equation.
@@ -191,6 +228,8 @@ class Soft:
         All coefficients of the fit.
     spreads : list of (p, K) arrays
         S of functions of size 1 in each equation: deviations of all coefficients are N(0, tau^2 S S').
+    constants : sequence of Freed
+        What constants inside the fit's terms may move by: a model of these terms has it integrated out.
     """
 
     task: Task
@@ -199,6 +238,7 @@ class Soft:
     whole: Quadratic
     about: Floats
     spreads: list[Floats]
+    constants: Sequence[Freed] = ()
     likeliest: dict[Sizes, float] = field(default_factory=dict)
     sets: dict[Sizes, ModelSet] = field(default_factory=dict)
 
@@ -208,10 +248,13 @@ class Soft:
         layout, state = task.layout, fitted.state
         allowed = task.log_odds.reshape(layout.chains, -1) > -np.inf
         P, precision = len(layout.terms), task.precision_of(state)
+        constants: Sequence[Freed] = ()
         if task.counted is None:
             hidden = hidden_terms(layout, int(allowed[~state.levels.stated, :-1].sum(axis=1).min()))
-            layout = replace(layout, terms=(*layout.terms, *hidden))
+            constants = freed(layout, state, P + len(hidden))
+            layout = replace(layout, terms=(*layout.terms, *hidden, *(one.change for one in constants)))
         width = len(layout.terms) + 1
+        functions = np.arange(P, width - 1 - len(constants))
         column = np.append(np.arange(P), width - 1)
         state = replace(state, chosen=state.chosen._replace(term=column[state.chosen.term]))
         stated = [one._replace(parts=tuple((c, int(column[j]), w) for c, j, w in one.parts)) for one in layout.stated]
@@ -239,7 +282,7 @@ class Soft:
                 spreads.append(np.zeros((layout.chains * width, 0)))
                 continue
             unit, deviation = np.zeros(width), float(np.sqrt(state.levels.target[c]))
-            unit[P:-1] = deviation / np.sqrt(np.mean(columns[:, P:-1] ** 2, axis=0))
+            unit[functions] = deviation / np.sqrt(np.mean(columns[:, functions] ** 2, axis=0))
             unit[column] = np.where(allowed[c], task.precision.reshape(allowed.shape)[c] ** -0.5, 0.0)
             used = np.flatnonzero(unit)
             R = isotropic(columns[:, used] * unit[used], [one[:, used] * unit[used] for one in moved], deviation)
@@ -247,17 +290,19 @@ class Soft:
             spread[c, used] = unit[used, None] * R
             spreads.append(spread.reshape(-1, R.shape[1]))
         visible = (np.arange(layout.chains)[:, None] * width + column).ravel()
-        return cls(task, fitted, visible, whole, about, spreads)
+        return cls(task, fitted, visible, whole, about, spreads, constants)
 
     @cached_property
     def root(self) -> Floats:
         """The root of the information on all."""
         return root_of(self.whole.information)
 
-    def quadratic(self, tau: Sizes) -> tuple[Quadratic, float]:
-        """The likelihood of all candidates about zero, the functions integrated out, and ln of its largest value."""
+    def quadratic(self, tau: Sizes, constants: Sequence[Freed] | None = None) -> tuple[Quadratic, float]:
+        """The likelihood of all candidates about zero, and ln of its largest value: the functions are integrated out,
+        and so are all constants, or these."""
         q = replace(self.whole, slope=self.whole.slope - self.whole.information @ self.about)
         spreads = [size * spread for size, spread in zip(tau, self.spreads, strict=True) if size > 0.0]
+        spreads += spreads_of(self.constants if constants is None else constants, len(self.about), len(tau))
         if spreads:
             q = softened(q, self.root, np.hstack(spreads))
         A, b = q.information[np.ix_(self.visible, self.visible)], q.slope[self.visible]
@@ -265,6 +310,8 @@ class Soft:
 
     def best(self, tau: Sizes) -> float:
         """ln p(data, model | sizes) of the likeliest model, up to a constant."""
+        if self.constants:
+            return float(self.models(tau).log_posterior[0])
         if tau not in self.likeliest:
             q, largest = self.quadratic(tau)
             self.likeliest[tau] = best_models(self.task.problem(q))[0][0] + largest
@@ -275,12 +322,44 @@ class Soft:
         if tau not in self.sets:
             q, largest = self.quadratic(tau)
             found = average_models(self.task.problem(q))
-            self.sets[tau] = replace(found, log_posterior=found.log_posterior + largest)
+            found = replace(found, log_posterior=found.log_posterior + largest)
+            self.sets[tau] = self._with_constants(tau, found) if self.constants else found
         return self.sets[tau] if any(tau) else as_fitted(self.sets[tau], self.task, self.fitted)
+
+    def _with_constants(self, tau: Sizes, found: ModelSet) -> ModelSet:
+        """The models, each with the constants of its own terms integrated out.
+
+        The prior of terms has lost what the ranges of constants cost, which is given back.
+        """
+        wide = np.array([self.task.wide(model) for model in found.models])
+        has = wide[:, self.task.number(Candidates(*np.array([one.of for one in self.constants]).T))]
+        values = np.empty(len(found.models))
+        for pattern in np.unique(has, axis=0):
+            inside = [one for one, held in zip(self.constants, pattern, strict=True) if held]
+            rows = (has == pattern).all(axis=1)
+            lost = self._scores((0.0,) * len(tau), self.fitted.model[None], []) - self._scores(
+                (0.0,) * len(tau), self.fitted.model[None], inside
+            )
+            values[rows] = self._scores(tau, wide[rows], inside) + lost
+        return _sorted(found, found.models, values)
+
+    def _scores(self, tau: Sizes, wide: Bools, constants: Sequence[Freed]) -> Floats:
+        """ln p(data, model | sizes) of some models, some constants integrated out."""
+        q, largest = self.quadratic(tau, constants)
+        return scores_of(self.task.problem(q), np.array([self.task.narrow(one) for one in wide])) + largest
 
     def evidence(self, tau: Sizes) -> float:
         """ln p(data | sizes) up to the same constant."""
         return float(np.logaddexp.reduce(self.models(tau).log_posterior))
+
+
+def spreads_of(constants: Sequence[Freed], size: int, chains: int) -> list[Floats]:
+    """S, (p, 1), of each constant: deviations of all coefficients as it goes over its range are N(0, S S')."""
+    out: dict[str, Floats] = {}
+    for one in constants:
+        place = one.of[0] * (size // chains) + one.column
+        out.setdefault(one.name, np.zeros((size, 1)))[place] = one.deviation
+    return list(out.values())
 
 
 def moved_columns(task: Task, state: State, smoothed: Sequence[Adjoint], columns: Floats, step: int) -> list[Floats]:
@@ -333,7 +412,7 @@ def _sorted(found: ModelSet, models: NDArray[np.bool_], values: Floats) -> Model
 def soft_of(task: Task, fitted: Fitted) -> Soft | None:
     """The likelihood beside functions; None where the law is to be exact, or where it cannot be evaluated."""
     try:
-        return None if task.tolerance == 0.0 else Soft.of(task, fitted)
+        return None if task.tolerance == 0.0 and not task.layout.has_constants else Soft.of(task, fitted)
     except np.linalg.LinAlgError:
         return None
 

@@ -23,6 +23,7 @@ from bayeq.dictionary.ranges import (
     JUMP_NODES,
     NODES,
     constants_of,
+    extent,
     families,
     grids,
     is_scale,
@@ -155,7 +156,7 @@ def with_constants(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fi
     """
     terms = task.layout.terms
     choices = _choices(terms)
-    if not choices and not any(term.unknowns for term in terms):
+    if not choices and not task.layout.has_constants:
         return task, fitted, {}
     task, fitted = settled(motion, task, finished(task, fitted))
     forms: dict[str, dict[str, float]] = {}
@@ -183,9 +184,9 @@ def settled(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fitted]:
         for family in families(task.layout.terms):
             if any(_is_active(task, j) for j in family) and not _of_law(task, family):
                 task, fitted = _elsewhere(motion, task, fitted, family)
-        moved = _moved(motion, task, fitted)
-        if moved[1].evidence > fitted.evidence:
-            task, fitted = moved
+        other = moved(task, fitted, motion)
+        if other[1].evidence > fitted.evidence:
+            task, fitted = other
         if fitted is before or fitted.evidence < before.evidence + BETTER:
             break
     return task, fitted
@@ -270,7 +271,7 @@ def _on_gram(task: Task, fitted: Fitted, family: Sequence[int], values: Sequence
             size = np.array([theta[:, j] for j, _ in pairs])
             square, constant = float(np.sum(size**2)), constants[name]
             step = float(np.sum(size * np.array([theta[:, i] for _, i in pairs]))) / square if square else 0.0
-            step = float(np.clip(step, -1.0, 1.0)) * min(1.0, _range(constant) / NODES / max(abs(step), 1e-300))
+            step = float(np.clip(step, -1.0, 1.0)) * min(1.0, extent(constant) / NODES / max(abs(step), 1e-300))
             moved[name] = _bounded(constant, to_scale(constant, constant.value) + step)
         out.append(_Node(moved, score, found.ravel(), theta[:, : P + 1][found]))
     return out
@@ -326,7 +327,7 @@ class _Tangent(NamedTuple):
     change: Expression
 
 
-def _tangents(layout: Layout, chosen: Candidates, theta: Floats) -> list[_Tangent]:
+def tangents_of(layout: Layout, chosen: Candidates, theta: Floats) -> list[_Tangent]:
     """Of every constant of the terms of a model, on the scale of each, in every equation that it stands in."""
     sums: dict[tuple[str, int], Node] = {}
     for c, j, size in zip(chosen.chain.tolist(), chosen.term.tolist(), theta.tolist(), strict=True):
@@ -345,7 +346,7 @@ def _derivative(term: Expression, name: str) -> Expression:
     constant = term.unknowns[name]
     step = STEP * (1.0 if is_scale(constant) else constant.high - constant.low)
     if jumps_at(term, name):
-        step = _range(constant) / JUMP_NODES  # between two nodes of the grid
+        step = extent(constant) / JUMP_NODES  # between two nodes of the grid
     place = to_scale(constant, constant.value)
     up, down = (
         term.with_unknowns({name: replace(constant, value=to_plain(constant, place + way * step))}).tree
@@ -362,7 +363,7 @@ def _bounded(constant: Unknown, place: float) -> float:
 
 def _with_tangents(task: Task, state: State) -> tuple[Task, State, list[_Tangent], Floats]:
     """The task and a state with the constants of its model as further coefficients, and the precision of all."""
-    tangents = _tangents(task.layout, state.chosen, state.theta)
+    tangents = tangents_of(task.layout, state.chosen, state.theta)
     own, wide = _extended(task, state, [one.change for one in tangents])
     count = len(tangents)
     chosen = Candidates(
@@ -370,17 +371,17 @@ def _with_tangents(task: Task, state: State) -> tuple[Task, State, list[_Tangent
         np.append(wide.chosen.term, len(task.layout.terms) + np.arange(count)).astype(np.int64),
     )
     constants = constants_of(task.layout.terms)
-    known = [12.0 / _range(constants[one.name]) ** 2 for one in tangents]
+    known = [12.0 / extent(constants[one.name]) ** 2 for one in tangents]
     wide = replace(wide, chosen=chosen, theta=np.append(wide.theta, np.zeros(count)))
     return own, wide, tangents, np.append(task.precision_of(state), known)
 
 
-def _moved(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fitted]:
+def moved(task: Task, fitted: Fitted, motion: Motion | None = None) -> tuple[Task, Fitted]:
     """The fit with its constants moved to where they are likeliest, if the likelihood is finite on the way.
 
-    Steps to where it is not are halved.
+    Steps to where it is not are halved. Priors are those of the terms in the rows of the motion, if it is given.
     """
-    if not _tangents(task.layout, fitted.state.chosen, fitted.state.theta):
+    if not tangents_of(task.layout, fitted.state.chosen, fitted.state.theta):
         return task, fitted
     now, last, halved = (task, fitted.state), None, 0
     try:
@@ -396,7 +397,7 @@ def _moved(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fitted]:
             last, now = now, then
             if farthest < NEAR:
                 break
-        own = _with_terms(motion, now[0], now[0].layout.terms)
+        own = now[0] if motion is None else _with_terms(motion, now[0], now[0].layout.terms)
         return own, over_all_sizes(own, fit(own, now[1]))
     except np.linalg.LinAlgError:
         return task, fitted
@@ -417,7 +418,7 @@ def _step(task: Task, state: State) -> tuple[tuple[Task, State], float]:
         at = np.array([k for k, one in enumerate(tangents) if one.name == name])
         weight = sd[at] ** -2.0
         step = float(wide.theta[len(state.theta) + at] @ weight / weight.sum())
-        most = FARTHEST * _range(constant)
+        most = FARTHEST * extent(constant)
         step = min(max(step, -most), most)
         place = to_scale(constant, constant.value)
         values[name] = _bounded(constant, place + step)
@@ -458,7 +459,7 @@ def joint_covariance(task: Task, state: State, power: float = 1.0) -> tuple[Floa
         if at:
             sd = float(1.0 / np.sqrt(power * np.sum(1.0 / np.diagonal(found.covariance)[at])))
             if any(jumps_at(terms[j], name) for j in used):
-                sd = math.hypot(sd, _range(constant) / JUMP_NODES)  # where the term jumps is known no better
+                sd = math.hypot(sd, extent(constant) / JUMP_NODES)  # where the term jumps is known no better
             place = to_scale(constant, constant.value)
             ends = [to_plain(constant, place + way * Z95 * sd) for way in (-1.0, 1.0)]
         ci95 = max(ends[0], low), min(ends[1], high)
@@ -483,12 +484,12 @@ def _log_posterior(task: Task, fitted: Fitted) -> float:
 def _costs(task: Task, fitted: Fitted) -> dict[int, float]:
     """What each term with constants that is in the model loses of its log odds: at least the range is not narrower."""
     state, terms = fitted.state, task.layout.terms
-    if not _tangents(task.layout, state.chosen, state.theta):
+    if not tangents_of(task.layout, state.chosen, state.theta):
         return {}
     _, estimates = joint_covariance(task, state)
     constants = constants_of(terms)
     lost = {
-        one.name: min(0.0, math.log(math.sqrt(2.0 * math.pi) * one.sd / _range(constants[one.name])))
+        one.name: min(0.0, math.log(math.sqrt(2.0 * math.pi) * one.sd / extent(constants[one.name])))
         for one in estimates
         if one.sd is not None
     }
@@ -556,10 +557,6 @@ def _with_terms(motion: Motion, task: Task, terms: tuple[Expression, ...]) -> Ta
     former = precision_of_terms(motion, task.layout)
     wider = float(np.median(task.precision / former))
     return replace(task, layout=layout, precision=wider * precision_of_terms(motion, layout), recent=[])
-
-
-def _range(constant: Unknown) -> float:
-    return to_scale(constant, constant.high) - to_scale(constant, constant.low)
 
 
 def _choices(terms: Sequence[Expression]) -> dict[str, list[int]]:

@@ -127,20 +127,28 @@ def check_record(
         found += _kinematics(record, [name if name and whole[name] else None for name in chain])
     for name in dict.fromkeys((*names, *inputs)):
         if whole[name] and record.n >= LEAST_ROWS_TO_CHECK:
-            clipped = _clipped(name, record[name])
-            found += clipped or _repeated(name, record[name])
+            clipped = _clipped(name, record[name], shut=name in inputs)
+            found += clipped or _repeated(name, record[name], shut=name in inputs)
     return found + _again(record, [name for name in dict.fromkeys((*names, *inputs)) if whole[name]])
 
 
 def check_messages(
-    records: Sequence[Record], chains: Sequence[Sequence[str | None]], inputs: Sequence[str] = ()
+    records: Sequence[Record],
+    chains: Sequence[Sequence[str | None]],
+    inputs: Sequence[str] = (),
+    rows: Sequence[int] | None = None,
 ) -> list[str]:
-    """A sentence for each kind of finding about each channel, however many records show it."""
+    """A sentence for each kind of finding about each channel, however many records show it.
+
+    Samples are not said to be missing in records that have lost some of the `rows` that they had.
+    """
     found: dict[tuple[str, tuple[str, ...]], list[str]] = {}
     several = len(records) > 1
-    for record in records:
+    for record, n in zip(records, rows or [record.n for record in records], strict=True):
         where = f"{record.name or 'a record'}: " if several else ""
         for finding in check_record(record, chains, inputs):
+            if finding.kind == "dropped" and record.n < n:
+                continue
             found.setdefault((finding.kind, finding.channels), []).append(where + finding.message)
     return [
         first + (f" (and {len(others)} more records alike)" if others and several else "")
@@ -407,8 +415,11 @@ class Clipping(NamedTuple):
     longest: int
 
 
-def clipped_levels(values: Floats) -> list[Clipping]:
-    """Extremes that samples stay at more often than at the levels next to them."""
+def clipped_levels(values: Floats, shut: bool = False) -> list[Clipping]:
+    """Extremes that samples stay at more often than at the levels next to them.
+
+    What may be `shut`, as a valve or a heater, is not clipped at 0.
+    """
     levels, counts = np.unique(values, return_counts=True)
     if len(levels) < LEAST_LEVELS:
         return []
@@ -422,6 +433,8 @@ def clipped_levels(values: Floats) -> list[Clipping]:
         moving = np.flatnonzero(~beyond)
         inner = values[moving[0] : moving[-1] + 1]
         level = float(levels[-1] if which == "greatest" else levels[0])
+        if shut and level == 0.0:
+            continue
         starts, lengths = equal_runs(inner)
         lengths = lengths[inner[starts] == level]
         count, longest = int(lengths.sum()), int(lengths.max(initial=0))
@@ -431,7 +444,7 @@ def clipped_levels(values: Floats) -> list[Clipping]:
     return found
 
 
-def _clipped(name: str, values: Floats) -> list[Finding]:
+def _clipped(name: str, values: Floats, shut: bool) -> list[Finding]:
     return [
         Finding(
             "clipping",
@@ -440,12 +453,15 @@ def _clipped(name: str, values: Floats) -> list[Finding]:
             f" {one.longest} in a row; measure in a wider range",
             one.level,
         )
-        for one in clipped_levels(values)
+        for one in clipped_levels(values, shut)
     ]
 
 
-def _repeated(name: str, values: Floats) -> list[Finding]:
-    """Samples that repeat the one before, where steps on either side say that the channel was moving."""
+def _repeated(name: str, values: Floats, shut: bool) -> list[Finding]:
+    """Samples that repeat the one before, where steps on either side say that the channel was moving.
+
+    What may be `shut`, as a valve or a heater, repeats 0.
+    """
     steps = np.abs(np.diff(values))
     if np.count_nonzero(steps == 0.0) > MOST_REPEATED * len(steps) or not steps.any():
         return []
@@ -455,7 +471,7 @@ def _repeated(name: str, values: Floats) -> list[Finding]:
     if moving < LEVELS_PER_STEP * level:
         return []
     starts, lengths = equal_runs(values)
-    inner = (lengths > 1) & (starts > 0) & (starts + lengths < len(values))
+    inner = (lengths > 1) & (starts > 0) & (starts + lengths < len(values)) & ~(shut & (values[starts] == 0.0))
     starts, lengths = starts[inner], lengths[inner]
     sudden = (steps[starts - 1] > moving) & (steps[starts + lengths - 1] > moving)
     # in a channel of levels a step of none is by chance as frequent as one of a few levels, up or down

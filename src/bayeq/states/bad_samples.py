@@ -116,7 +116,7 @@ def find_bad_samples(
         return out
     chosen = [records[i] for i in timed]
     learned = learned or Learned()
-    inputs = [_Group(chosen, (name,)).searched(learned) for name in roles.inputs]
+    inputs = [_Group(chosen, (name,), is_input=True).searched(learned) for name in roles.inputs]
     chains = [_Group.of_chain(chosen, chain, learned).searched(learned) for chain in roles.chains]
     _keep_answered(inputs, chains)
     for group in (*inputs, *chains):
@@ -170,9 +170,13 @@ class _Group:
     """Channels that are judged by one smoother: a chain's, or one input."""
 
     def __init__(
-        self, records: Sequence[Record], names: Sequence[str | None], gains: Floats | Sequence[float] = (1.0,)
+        self,
+        records: Sequence[Record],
+        names: Sequence[str | None],
+        gains: Floats | Sequence[float] = (1.0,),
+        is_input: bool = False,
     ) -> None:
-        self.names = tuple(names)
+        self.names, self.is_input = tuple(names), is_input
         self.series = [
             ChainSeries(
                 np.asarray(record.time),
@@ -220,8 +224,8 @@ class _Group:
         learned.models[self.names] = model
         for i, (s, runs, bad) in enumerate(zip(self.series, doubtful, self.bad, strict=True)):
             calm = _without(s, bad["spikes"] | runs)
-            bad["clipped"] = _clipped(_without(s, bad["spikes"]))
-            bad["stuck"] = _stuck(s, runs & ~bad["clipped"], calm, model)
+            bad["clipped"] = _clipped(_without(s, bad["spikes"]), self.is_input)
+            bad["stuck"] = _stuck(s, runs & ~bad["clipped"] & ~(self.is_input & _at_zero(s)), calm, model)
             errors = leave_one_out(calm, model)
             self.missed[i] = np.any(_standard(errors) > STATES.spike * _factor(errors), axis=1)
         return self
@@ -480,6 +484,13 @@ def _long_runs(series: ChainSeries) -> Bools:
     return out
 
 
+def _at_zero(series: ChainSeries) -> Bools:
+    """Samples of 0, where a channel has none on one side of it."""
+    samples = _samples(series)
+    one_sided = (np.nan_to_num(samples) >= 0.0).all(axis=0) | (np.nan_to_num(samples) <= 0.0).all(axis=0)
+    return np.asarray((samples == 0.0) & one_sided)
+
+
 def _stuck(series: ChainSeries, runs: Bools, calm: ChainSeries, model: KinematicModel) -> Bools:
     """Those of the long stretches in which a channel should have moved."""
     out = np.zeros_like(runs)
@@ -506,11 +517,11 @@ def _stuck(series: ChainSeries, runs: Bools, calm: ChainSeries, model: Kinematic
     return out
 
 
-def _clipped(series: ChainSeries) -> Bools:
+def _clipped(series: ChainSeries, shut: bool) -> Bools:
     """Samples at an extreme that a channel is clipped at."""
     out = _nowhere(series)
     for k, values in enumerate(series.channels):
         if values is not None and np.isfinite(values).any():
-            for found in clipped_levels(values[np.isfinite(values)]):
+            for found in clipped_levels(values[np.isfinite(values)], shut):
                 out[:, k] |= values == found.level
     return out
