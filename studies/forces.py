@@ -1,7 +1,7 @@
 """Forces of many kinds: is an exact law found, whatever the force does between samples, and however little noise?
 
 The paper's oscillators in turn, parameters perturbed by 10 %, 4,000 rows at 1 kHz of motion that is integrated ten
-times finer (fifty times where the force is held); displacement, velocity, acceleration and force measured with noise of
+times finer; displacement, velocity, acceleration and force measured with noise of
 a share of each channel's standard deviation, log-uniform between the limits given. "straight" is the paper's force,
 joined by straight lines between samples; "held" keeps the value of a sample until the next; "blows" are half sines of 4
 to 12 ms, "taps" of 1.5 to 4 ms, two a second on average, and a multisine, a sweep and a band-limited force are smooth.
@@ -12,6 +12,7 @@ to 12 ms, "taps" of 1.5 to 4 ms, two a second on average, and a multisine, a swe
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -68,8 +69,7 @@ def _band(time: Floats, rng: Rng) -> Floats:
 
 
 def _held(time: Floats, rng: Rng) -> Floats:
-    finer = len(time) // ROWS
-    return np.repeat(STD * rng.standard_normal(ROWS), finer)
+    return STD * rng.standard_normal(len(time))
 
 
 FORCES: Mapping[str, Force | None] = {
@@ -86,13 +86,21 @@ FORCES: Mapping[str, Force | None] = {
 def draw_record(kind: str, noise: tuple[float, float], seed: int) -> tuple[Record, Mapping[str, Mapping[str, float]]]:
     """A record of displacement, velocity, acceleration and force, and the true coefficients."""
     rng, system, force = np.random.default_rng([seed, 5]), get_system(OSCILLATORS[seed % 4]), FORCES[kind]
-    finer = 1 if force is None else 50 if kind == "held" else 10
+    finer = 1 if force is None or kind == "held" else 10
     samples = None if force is None else force(np.arange(ROWS * finer) / (RATE * finer), rng)
-    clean = simulate(system, fs=RATE * finer, seed=seed, noise=0.0, perturb=0.1, force=samples)
+    clean = simulate(
+        replace(system, substeps=10) if kind == "held" else system,
+        fs=RATE * finer,
+        seed=seed,
+        noise=0.0,
+        perturb=0.1,
+        force=samples,
+        interpolation="hold" if kind == "held" else "linear",
+    )
     share = float(np.exp(rng.uniform(*np.log(noise)))) if noise[0] > 0.0 else 0.0
     channels = {name: clean[name][::finer] for name in ("x", "v", "a", "u")}
-    channels = {name: y + share * y.std() * rng.standard_normal(len(y)) for name, y in channels.items()}
     assert clean.truth is not None
+    channels = {name: y + share * y.std() * rng.standard_normal(len(y)) for name, y in channels.items()}
     return Record.from_arrays(channels, fs=RATE), clean.truth.coefficients
 
 

@@ -194,6 +194,14 @@ def test_an_own_force_is_taken_as_it_is() -> None:
     assert record["u"][0] == 0.0
 
 
+def test_a_force_that_is_held_acts_over_the_whole_interval() -> None:
+    record = simulate("linear", force=[1.0, 0.0, 0.0], fs=100.0, noise=0.0, interpolation="hold")
+    straight = simulate("linear", force=[1.0, 0.0, 0.0], fs=100.0, noise=0.0)
+    # from rest a constant force for a hundredth of a second, beside one that falls to nothing within it
+    assert record["v"][1] == pytest.approx(0.01 * record["a"][0], rel=0.1)
+    assert straight["v"][1] == pytest.approx(0.5 * record["v"][1], rel=0.05)
+
+
 def test_an_own_system_with_two_coupled_coordinates() -> None:
     system = System(
         name="pair",
@@ -256,6 +264,7 @@ def test_what_overflows_after_the_last_step_is_a_divergence_too() -> None:
         ({"seed": -1}, InputError, "seed must be"),
         ({"seed": 1.5}, InputError, "seed must be"),
         ({"seed": "1"}, InputError, "seed must be"),
+        ({"interpolation": "steps"}, InputError, "interpolation must be one of cubic, linear, hold, band-limited"),
         ({"force": np.ones(10), "n": 11}, InputError, r"not shape \(10, 1\)"),
         ({"force": np.ones((10, 2))}, InputError, r"not shape \(10, 2\)"),
         ({"force": 3.0}, InputError, "force must have"),

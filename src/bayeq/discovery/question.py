@@ -150,6 +150,7 @@ class Question:
         _require_unambiguous(self.terms, measured, self.roles)
         step("states", 0, 1)
         motion, pieces = self._motion(measured, log, whole)
+        before = len(log.collected)
         units = _units(pieces, motion.roles, log)
         terms, known = _in_radians(self.terms, self.known, units, log)
         motion, terms = self._with_hidden(motion, terms, whole)
@@ -193,6 +194,7 @@ class Question:
             motion = likelihood.told(motion)
             if motion.sensors.lags:
                 motion = replace(motion, sensors=replace(motion.sensors, lags=likelihood.lags))
+        log.collected[before:before] = [(one, DataWarning) for one in _channel_messages(motion, pieces)]
         data = DataSummary.of(pieces, motion, found is not None)
         answer = Equations(
             equations=EquationTuple(with_doubts(equations, selections, self.rules.tolerance or SELECTION.tolerance)),
@@ -306,7 +308,7 @@ class Question:
         warn_of_blows(pieces, roles.inputs, sensors.noise, log)
         if self.lag_sd:
             motion = self._without_lags(motion, pieces, whole)
-        _inspect(motion, [without_lags(piece, motion.sensors.lags) for piece in pieces], self.holdout, log)
+        _inspect(motion, pieces, self.holdout, log)
         return motion, pieces
 
     def _without_lags(self, motion: Motion, pieces: Sequence[Record], whole: Whole | None) -> Motion:
@@ -466,7 +468,7 @@ def _prepared(
 
 
 def _inspect(motion: Motion, records: Sequence[Record], holdout: float, log: WarningLog) -> None:
-    """Refuse too few rows, and warn of channels that do not fit each other and of rows that cannot be used in full."""
+    """Refuse too few rows, and warn of rows that cannot be used in full."""
     for rows in motion.records:
         require_in_range(rows.columns, rows.name)
     total = sum(record.n for record in records)
@@ -475,11 +477,18 @@ def _inspect(motion: Motion, records: Sequence[Record], holdout: float, log: War
         raise RecordError(f"holdout {holdout:g} leaves {used} training rows, too few for a regression; lower it")
     if holdout > 0 and motion.holdout == 0:
         log.warn(f"only {total} rows: all are used, none held out to judge the equation by; measure more", DataWarning)
-    if motion.roles.discrete:
-        return
-    present = [bridged_record(record, motion.roles, MOST_BRIDGED) for record in records]
-    chains, before = [chain.measured for chain in motion.roles.chains], [record.n for record in records]
-    log.extend(check_messages(present, chains, motion.roles.inputs, before), DataWarning)
+
+
+def _channel_messages(motion: Motion, records: Sequence[Record]) -> list[str]:
+    """What of the channels does not fit the others, a sentence each."""
+    roles = motion.roles.seen
+    if roles.discrete:
+        return []
+    records = [without_lags(record, motion.sensors.lags) for record in records]
+    present = [bridged_record(record, roles, MOST_BRIDGED) for record in records]
+    stepping = roles.targets if "hold" in motion.courses.values() else ()
+    chains, rows = [chain.measured for chain in roles.chains], [record.n for record in records]
+    return check_messages(present, chains, roles.inputs, rows, stepping)
 
 
 def _constrained(known: Sequence[str], design: Design, method: str) -> tuple[Constraints, ...]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import get_args
 
 import numpy as np
 
@@ -107,12 +106,6 @@ def require_time(record: Record, purpose: str) -> Floats:
     if record.time is None:
         raise RecordError(f"{record.name or 'record'}: {purpose} needs a time column or fs")
     return record.time
-
-
-def check_interpolation(kind: Courses | None) -> None:
-    """Raise an InputError if there is no such interpolation."""
-    if isinstance(kind, str) and kind not in get_args(Interpolation):
-        raise InputError(f"interpolation must be one of {', '.join(get_args(Interpolation))}, got {kind!r}")
 
 
 def normalised_error(run: Floats, samples: Floats) -> float:

@@ -27,13 +27,12 @@ from bayeq.forecast.free_run import (
 from bayeq.forecast.rows import (
     Courses,
     between,
-    check_interpolation,
     normalised_error,
     require_time,
     rows_of,
     window_of,
 )
-from bayeq.ode.rk4 import Drive
+from bayeq.ode.rk4 import Drive, check_interpolation
 from bayeq.records import Record
 from bayeq.states import Sensors, Smooth, estimate_motion, without_lags
 from bayeq.states.prepare import inputs_filled

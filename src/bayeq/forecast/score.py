@@ -14,7 +14,6 @@ from bayeq.forecast.free_run import fitted_start, mean_run, state_range
 from bayeq.forecast.rows import (
     Courses,
     Rows,
-    check_interpolation,
     divided,
     normalised_error,
     predicted_target,
@@ -22,6 +21,7 @@ from bayeq.forecast.rows import (
     rows_of,
     window_of,
 )
+from bayeq.ode.rk4 import check_interpolation
 from bayeq.records import Record
 from bayeq.states import Motion, Sensors, Smooth, estimate_motion
 from bayeq.states.roles import NEXT

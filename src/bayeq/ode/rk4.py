@@ -8,11 +8,12 @@ equation integrated by the same method (Bock 1981, "internal numerical different
 from __future__ import annotations
 
 import math
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
 from bayeq.arrays import Floats
+from bayeq.errors import InputError
 from bayeq.expressions.tape import IndexArray, Program, run_tape
 from bayeq.kernels import kernel
 from bayeq.numerics.spline import spline_slopes
@@ -44,6 +45,12 @@ class Drive(NamedTuple):
     def part(self, start: int, stop: int) -> Drive:
         """The samples from `start` up to `stop`, that one left out."""
         return self._replace(inputs=self.inputs[start:stop], intervals=self.intervals[start : stop - 1])
+
+
+def check_interpolation(kind: object) -> None:
+    """Raise an InputError if there is no such interpolation."""
+    if isinstance(kind, str) and kind not in get_args(Interpolation):
+        raise InputError(f"interpolation must be one of {', '.join(get_args(Interpolation))}, got {kind!r}")
 
 
 def interpolant(time: Floats, samples: Floats, kind: Interpolation) -> Floats:

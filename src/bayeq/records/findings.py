@@ -137,16 +137,21 @@ def check_messages(
     chains: Sequence[Sequence[str | None]],
     inputs: Sequence[str] = (),
     rows: Sequence[int] | None = None,
+    stepping: Sequence[str] = (),
 ) -> list[str]:
     """A sentence for each kind of finding about each channel, however many records show it.
 
-    Samples are not said to be missing in records that have lost some of the `rows` that they had.
+    Samples are not said to be missing in records that have lost some of the `rows` that they had. Channels that are
+    `stepping`, as an acceleration under an input that is held between samples, are half a sample ahead.
     """
     found: dict[tuple[str, tuple[str, ...]], list[str]] = {}
     several = len(records) > 1
     for record, n in zip(records, rows or [record.n for record in records], strict=True):
         where = f"{record.name or 'a record'}: " if several else ""
         for finding in check_record(record, chains, inputs):
+            late = finding.value / (record.dt or 1.0) if finding.kind == "delay" else 0.0
+            if finding.channels[0] in stepping and abs(late + 0.5) < RECORDS.least_delay:
+                continue
             if finding.kind == "dropped" and record.n < n:
                 continue
             found.setdefault((finding.kind, finding.channels), []).append(where + finding.message)

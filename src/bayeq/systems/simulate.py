@@ -6,6 +6,7 @@ import math
 import operator
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,6 +16,9 @@ from bayeq.errors import InputError, UnknownNameError, require_kind, require_map
 from bayeq.expressions import Evaluator, Expression, Tape, parse
 from bayeq.records import Record, Truth
 from bayeq.systems.system import BandLimitedForce, System
+
+if TYPE_CHECKING:
+    from bayeq.ode.rk4 import Interpolation
 
 # More samples in one record than anybody measures, and noise that drowns any signal: mistakes of typing.
 MAX_SAMPLES = 100_000_000
@@ -34,10 +38,11 @@ def simulate(
     parameters: Mapping[str, float] | None = None,
     perturb: float = 0.0,
     force: ArrayLike | None = None,
+    interpolation: Interpolation = "linear",
 ) -> Record:
     """Simulate a known system and measure it with noise.
 
-    Fixed-step RK4 at the sampling rate (times the system's `substeps`), the force interpolated linearly in
+    Fixed-step RK4 at the sampling rate (times the system's `substeps`), the force interpolated in
     between; then white Gaussian noise on every channel. A derivative among the channels (the acceleration) is
     the right-hand side at the samples.
 
@@ -61,6 +66,8 @@ def simulate(
         The other perturbable parameters are multiplied by ``1 + perturb*N(0, 1)``, each by its own.
     force : (n,) or (n, inputs) array_like, optional
         The clean force samples, instead of the system's random force.
+    interpolation : "linear", "hold", "cubic" or "band-limited"
+        The force between its samples.
 
     Returns
     -------
@@ -97,7 +104,7 @@ def simulate(
         n = _count(system.n if n is None else n)
         inputs = _random_force(system, n, fs, force_stream)
 
-    states = _integrate(system, values, inputs, fs)
+    states = _integrate(system, values, inputs, fs, interpolation)
     columns = dict(zip(system.states, states.T, strict=True))
     columns |= dict(zip(system.inputs, inputs.T, strict=True))
     evaluate = Evaluator({**values, **columns})
@@ -136,14 +143,17 @@ def _tape(system: System) -> Tape:
     return Tape.compile(_parsed(system).values(), [*system.states, *system.inputs, *system.parameters])
 
 
-def _integrate(system: System, values: Mapping[str, float], inputs: Floats, fs: float) -> Floats:
+def _integrate(
+    system: System, values: Mapping[str, float], inputs: Floats, fs: float, interpolation: Interpolation
+) -> Floats:
     """States at the samples, (n, states)."""
-    from bayeq.ode.rk4 import Drive, free_runs, interpolant
+    from bayeq.ode.rk4 import Drive, check_interpolation, free_runs, interpolant
 
+    check_interpolation(interpolation)
     n, size = len(inputs), len(system.states)
     largest = np.full(size, np.finfo(np.float64).max)
     drive = Drive(
-        interpolant(np.arange(n) / fs, inputs, "linear"),
+        interpolant(np.arange(n) / fs, inputs, interpolation),
         np.full(n - 1, 1.0 / fs),
         1.0 / fs / system.substeps,
         -largest,
