@@ -5,7 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from bayeq.equation.answer import Answer
+from bayeq.equation.brief import DERIVED, checks, in_symbols, sentence
 from bayeq.equation.equation import Equation
+from bayeq.equation.oscillator import own_parameters
 from bayeq.equation.rows import Row, rows_of
 from bayeq.figures.picture import above, axes_for
 from bayeq.figures.runs import draw_states
@@ -26,6 +28,7 @@ MOST_OTHERS = 10
 WIDTH, BAR, AROUND, PANEL = 160.0, 6.0, 20.0, 40.0
 
 HEADER = ("term", "coefficient", "sd", "95 % interval")
+PARAMETERS = ("parameter", "value", "95 % interval", "unit", "meaning")
 
 
 def plot_terms(eq: Answer, ax: Any = None) -> list[Axes]:
@@ -61,13 +64,20 @@ def _bar(row: Row) -> tuple[str, float, str]:
 
 
 def as_html(eq: Answer) -> str:
-    """What a notebook shows: the verdict, then each equation and its terms, then the warnings."""
-    parts = [paragraph(f"verdict: {eq.verdict}", strong=True)]
+    """What a notebook shows: the verdict, each equation and its terms, physical parameters, checks and warnings."""
+    parts = [paragraph(f"verdict: {eq.verdict.kind}: {sentence(eq)}", strong=True)]
     header = (*HEADER, ENGINES[eq.method].score, "unit")
     for equation in eq.equations:
-        parts += [code(equation.text), table(header, _rows(equation))]
-    parts.append(paragraph(f"{eq.data.n} rows; method: {ENGINES[eq.method].title}"))
-    return join(*parts, items([f"warning: {message}" for message in eq.warnings]))
+        terms = _rows(equation)
+        width = len(header) if any(row[-1] for row in terms) else len(header) - 1
+        parts += [code(equation.text), table(header[:width], [row[:width] for row in terms])]
+    physical = own_parameters(eq)
+    if physical is not None:
+        law = in_symbols(eq.equations[0], physical, eq.inputs) if len(eq.equations) == 1 else None
+        cells = [(q.symbol, q.cells, q.meaning) for q in physical if q.symbol not in DERIVED]
+        rows = [(symbol, mean, ends, unit, why) for symbol, (mean, _, ends, unit), why in cells]
+        parts += [*([] if law is None else [code(law)]), table(PARAMETERS, rows, (0, 4))]
+    return join(*parts, paragraph(checks(eq)), items([f"warning: {message}" for message in eq.warnings]))
 
 
 def _rows(equation: Equation) -> list[tuple[str, ...]]:
