@@ -12,6 +12,7 @@ from scipy.special import betainc
 from scipy.stats import kstest
 
 import bayeq as bq
+from bayeq.equation.brief import brief
 from bayeq.equation.verdict import KINDS, Verdict, doubted, worst
 from bayeq.likelihood.adequacy import Adequacy, Discrepancy, Octave, chance_of, octaves_of, turn_of
 from bayeq.likelihood.low_pass import feedback, mean_spectrum, spectrum_of, step_variance
@@ -46,6 +47,21 @@ def quietly(*arguments, **options):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return bq.discover(*arguments, **options)
+
+
+@pytest.mark.parametrize("tails", [None, 3.0])
+def test_the_shape_of_what_is_left_is_that_of_the_noise(tails):
+    """Not that of the errors of smoothing, which are larger here than there."""
+    clean = bq.simulate("cart_pole", n=1200, seed=1, noise=0.0)
+    rng = np.random.default_rng(0)
+    noise = {name: rng.standard_normal(1200) if tails is None else rng.standard_t(tails, 1200) for name in "xqu"}
+    record = bq.Record.from_arrays(
+        {name: clean[name] + 0.01 * clean[name].std() * noise[name] for name in "xqu"}, fs=100.0
+    )
+    dictionary = "u, dx, sin(q), ddq*cos(q), ddx*cos(q), dq**2*sin(q)"
+    found = quietly(record, chains=["x::", "q::"], inputs=["u"], dictionary=dictionary)
+    assert all((one.residuals.normality > 0.01) == (tails is None) for one in found)
+    assert ("heavy tails" in brief(found)) == (tails is not None)
 
 
 @settings(max_examples=draws(200), deadline=None)

@@ -42,7 +42,7 @@ def test_names_fit_together(system: System) -> None:
 def test_terms_are_canonical_and_known(system: System) -> None:
     for terms in system.terms.values():
         for term, coefficient in terms.items():
-            assert parse(term, [*system.states, *system.inputs]).text == term
+            assert parse(term, [*system.states, *system.inputs, *system.targets]).text == term
             assert parse(coefficient, system.parameters).text == coefficient
     for text in system.rhs.values():
         assert parse(text, [*system.states, *system.inputs, *system.parameters]).text == text
@@ -55,14 +55,15 @@ def test_the_law_is_the_sum_of_the_true_terms(system: System, data: st.DataObjec
     factor = st.one_of(st.just(1.0), st.floats(0.5, 1.5))
     point = {name: data.draw(number) for name in (*system.states, *system.inputs)}
     parameters = {name: value * data.draw(factor) for name, value in system.parameters.items()}
-    evaluate = Evaluator({**point, **parameters})
-    for target, state in system.targets.items():
+    right = Evaluator({**point, **parameters})
+    laws = {target: right(parse(system.rhs[state])) for target, state in system.targets.items()}
+    evaluate = Evaluator({**point, **laws, **parameters})  # terms may hold targets of other equations
+    for target, law in laws.items():
         parts = [
             float(evaluate(parse(term))) * float(evaluate(parse(coefficient)))
             for term, coefficient in system.terms[target].items()
         ]
-        law = float(evaluate(parse(system.rhs[state])))
-        assert law == pytest.approx(sum(parts), rel=1e-12, abs=1e-12 * sum(map(abs, parts)) + 1e-300)
+        assert float(law) == pytest.approx(sum(parts), rel=1e-12, abs=1e-12 * sum(map(abs, parts)) + 1e-300)
 
 
 @pytest.mark.parametrize("perturb", [0.0, 0.1])

@@ -54,7 +54,9 @@ def brief(eq: Answer) -> str:
         lines += ["", *_quantities([q for q in physical if not q.symbol.startswith("phi_")])]
     lines += ["", *_wrapped(checks(eq))]
     for one in eq.equations:
-        lines += [line for text in (*failed(one), *unseen(one, FEW, ADVICE)) for line in _wrapped(printable(text))]
+        which = f"{one.target}: " if len(eq.equations) > 1 else ""
+        texts = (*failed(one), *unseen(one, FEW, ADVICE))
+        lines += [line for text in texts for line in _wrapped(printable(which + text))]
     lines += [line for text in given_of(eq) for line in _wrapped(printable(text))]
     return "\n".join([*lines, *_wrapped(source_of(eq, short=True))])
 

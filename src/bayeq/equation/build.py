@@ -100,6 +100,7 @@ def build_equation(selection: Selection, window: tuple[float, str] | None) -> Eq
     variance, whole = gram.yty / gram.n, regression.rows.select([]) + gram.select([]) if by_rest else gram
     noise, share = noise_share(regression, variance), variance / (whole.yty / whole.n) if whole.yty > 0.0 else 1.0
     residuals = regression.residuals(shown, (*motion.roles.inputs, *motion.roles.states))
+    shape = {} if regression.shape is None else regression.shape._asdict()
     # of a term that equalities tie to others, the rule that decided on these
     differ = {
         term.text: selection.why.get(term.text) or next(iter(selection.why.values()))
@@ -120,7 +121,7 @@ def build_equation(selection: Selection, window: tuple[float, str] | None) -> Eq
         shown_posterior=shown,
         train=train,
         held_out=held_out,
-        residuals=replace(residuals, discrepancy=regression.discrepancy),
+        residuals=replace(residuals, discrepancy=regression.discrepancy, **shape),
         verdict=verdict,
         runners_up=_runners_up(fit, selection.shown) if ENGINES[posterior.method].spike_slab else (),
         fit=fit,

@@ -8,8 +8,8 @@ channel are white: the power of each octave is a share of the whole that a beta 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence, Set
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence, Set
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +22,7 @@ from bayeq.likelihood.levels import Levels
 from bayeq.likelihood.model import Fitted, Task
 from bayeq.likelihood.settings import LIKELIHOOD
 from bayeq.numerics.beta import incomplete_beta
-from bayeq.numerics.normal import Z95
+from bayeq.numerics.normal import Z95, Shape, shape_of
 
 # Memories of a discrepancy between which its test is followed.
 MEMORIES = 33
@@ -94,10 +94,13 @@ class Adequacy:
         One per equation.
     octaves : tuple of Octave
         Of the channels of all chains.
+    shapes : mapping of str to Shape
+        Of the standardised innovations of these channels.
     """
 
     discrepancies: tuple[Discrepancy, ...]
     octaves: tuple[Octave, ...]
+    shapes: Mapping[str, Shape] = field(default_factory=dict)
 
     @property
     def limit(self) -> float:
@@ -135,7 +138,7 @@ def adequacy_of(task: Task, fitted: Fitted) -> Adequacy:
     here = task.marginal(state)
     interval = float(np.median(np.concatenate([one.intervals for one in task.series])))
     discrepancies = [_discrepancy(task, state, here.value, c, interval) for c in range(task.layout.chains)]
-    return Adequacy(tuple(discrepancies), tuple(_octaves(task, state, here.delta, interval)))
+    return Adequacy(tuple(discrepancies), *_innovations(task, state, here.delta, interval))
 
 
 def _discrepancy(task: Task, state: State, value: float, c: int, interval: float) -> Discrepancy:
@@ -157,14 +160,16 @@ def _discrepancy(task: Task, state: State, value: float, c: int, interval: float
     return Discrepancy(size, size / factor, size * factor, p, _main_octave(paths, interval))
 
 
-def _octaves(task: Task, state: State, delta: Floats, interval: float) -> list[Octave]:
+def _innovations(
+    task: Task, state: State, delta: Floats, interval: float
+) -> tuple[tuple[Octave, ...], dict[str, Shape]]:
     """Tests of the innovations of all channels of chains, coefficients `delta` from those of the fit."""
     layout, levels, noisy = task.layout, state.levels, len(task.layout.roles.inputs)
     # inputs are filtered first: their course need not be that of low-passed noise
     order = np.roll(np.arange(len(layout.channels)), noisy)
     noise = levels.noise._replace(channels=levels.noise.channels[order])
     filtered = [run_filter(one.in_order(order), state.chosen, noise) for one in task.linearised(state)]
-    octaves: list[Octave] = []
+    octaves, shapes = list[Octave](), dict[str, Shape]()
     otherwise: set[tuple[float, float]] = set()
     for k, (channel, kind) in enumerate(layout.channels[i] for i in order):
         left = []
@@ -177,11 +182,13 @@ def _octaves(task: Task, state: State, delta: Floats, interval: float) -> list[O
                 (one.low, one.high) for one in octaves_of(channel, left, interval) if one.p < LIKELIHOOD.test_level
             }
             continue
+        together = np.concatenate(left)
+        shapes[channel] = shape_of(together - together.mean())
         # as of discrepancies, less than that is none
         least = LIKELIHOOD.least_discrepancy * levels.scales.channels[order[k]] / levels.channels[order[k]]
         tested = octaves_of(channel, left, interval, otherwise if kind < 0 else set())
         octaves += [one for one in tested if abs(one.ratio - 1.0) * one.share > least]
-    return octaves
+    return tuple(octaves), shapes
 
 
 def gain_of(task: Task, state: State, c: int) -> float:

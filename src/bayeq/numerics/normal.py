@@ -2,11 +2,40 @@
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 #: Half-width of a 95 % interval, in standard deviations.
 Z95 = 1.959963984540054
+
+
+class Shape(NamedTuple):
+    """Third and fourth standardised moments, the latter less 3, and the probability by chance of both."""
+
+    skewness: float
+    kurtosis: float
+    normality: float
+
+
+def shape_of(e: NDArray[np.float64], third: float = 1.0, fourth: float = 1.0) -> Shape:
+    """The shape of numbers of mean 0, beside that of a normal distribution.
+
+    Parameters
+    ----------
+    e : (n,) array
+        Not all 0.
+    third, fourth : float
+        Sums of the third and fourth powers of their autocorrelations over all lags (Lobato and Velasco 2004); 1 of
+        independent ones (Jarque and Bera 1980).
+    """
+    second = float(np.mean(e**2))
+    skewness = float(np.mean(e**3)) / second**1.5
+    kurtosis = float(np.mean(e**4)) / second**2 - 3.0
+    statistic = len(e) * (skewness**2 / (6.0 * third) + kurtosis**2 / (24.0 * fourth))
+    return Shape(skewness, kurtosis, math.exp(-0.5 * statistic))
 
 
 def t95(freedom: NDArray[np.float64]) -> NDArray[np.float64]:

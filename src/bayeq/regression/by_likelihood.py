@@ -14,6 +14,7 @@ from bayeq.likelihood.adequacy import Discrepancy, Octave
 from bayeq.likelihood.projection import projected
 from bayeq.likelihood.record_fit import RecordFit
 from bayeq.likelihood.unknowns import ConstantEstimate, Forms
+from bayeq.numerics.normal import Shape
 from bayeq.regression.design import Design
 from bayeq.regression.regression import Regression, judged_by
 
@@ -81,6 +82,12 @@ class RecordRegression(Regression):
         adequacy = self.record.adequacy
         channels = [name for name in self.chain.measured if name is not None]
         return adequacy.lacks(self.k), adequacy.coloured(channels)
+
+    @property
+    def shape(self) -> Shape | None:
+        """As of `Regression`."""
+        shapes = [self.record.adequacy.shapes[name] for name in self.chain.measured if name is not None]
+        return min(shapes, key=lambda one: one.normality) if self.through_motion and shapes else None
 
     def hides_noise(self, name: str) -> bool:
         """As of `Regression`."""

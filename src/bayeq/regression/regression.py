@@ -17,6 +17,7 @@ from bayeq.gram.gram import grams_from_blocks
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.adequacy import Discrepancy, Octave
 from bayeq.likelihood.unknowns import ConstantEstimate, Forms
+from bayeq.numerics.normal import Shape
 from bayeq.regression.design import Design
 from bayeq.regression.residuals import Fit, Residuals, inspect_residuals
 from bayeq.regression.settings import REGRESSION
@@ -109,6 +110,11 @@ class Regression:
     def tests(self) -> tuple[Discrepancy | None, Octave | None]:
         """A discrepancy that the motion needs, and innovations that are not white; none of rows."""
         return None, None
+
+    @property
+    def shape(self) -> Shape | None:
+        """The shape of what a target that is not measured leaves of the channels of its chain; None of rows."""
+        return None
 
     def hides_noise(self, name: str) -> bool:
         """Whether the record does not tell the noise of an input; of rows its highest frequencies do."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayeq.arrays import Floats
+from bayeq.numerics.normal import Shape, shape_of
 from bayeq.regression.settings import REGRESSION
 
 # Cross-correlations are looked at up to this many lags, and up to this share of the longest piece.
@@ -78,11 +79,9 @@ class Residuals:
         Autocorrelation at lag 1.
     n_eff : float
         Effective sample size n / (1 + 2 sum rho_k), the sum over the lags up to the first rho_k <= 0.
-    skewness, kurtosis : float
-        Third and fourth standardised moments, the latter less the 3 of a normal distribution.
-    normality : float
-        Probability of moments so far from normal, if the residuals were a Gaussian process of their autocorrelation
-        (Lobato and Velasco 2004).
+    skewness, kurtosis, normality : float
+        See `bayeq.numerics.normal.Shape`. Of a target that is not measured they are those of the standardised
+        innovations of the channel of its chain that is least normal.
     driver : Driver or None
         The input or state that they follow most, where channels were given.
     discrepancy : float or None
@@ -144,14 +143,11 @@ def inspect_residuals(pieces: Sequence[Floats], channels: Mapping[str, Sequence[
     rho = covariance / covariance[0]
     negative = np.flatnonzero(rho <= 0)
     last = int(negative[0]) if len(negative) else len(rho)
-    skewness, kurtosis, normality = _shape(centred, rho)
     return Residuals(
         n,
         float(rho[1]) if len(rho) > 1 else 0.0,
         float(n / (1.0 + 2.0 * rho[1:last].sum())),
-        skewness,
-        kurtosis,
-        normality,
+        *_shape(centred, rho),
         _strongest(centred, rho, channels or {}),
     )
 
@@ -171,18 +167,9 @@ def _correlation(first: Sequence[Floats], second: Sequence[Floats]) -> Floats:
     return out
 
 
-def _shape(centred: Sequence[Floats], rho: Floats) -> tuple[float, float, float]:
-    """Skewness, excess kurtosis, and the probability of both under a Gaussian process of these autocorrelations.
-
-    Their variances are 6/n sum rho_k^3 and 24/n sum rho_k^4 over all lags, positive and negative.
-    """
-    e = np.concatenate(centred)
-    second = float(np.mean(e**2))
-    skewness = float(np.mean(e**3)) / second**1.5
-    kurtosis = float(np.mean(e**4)) / second**2 - 3.0
-    third, fourth = (max(1.0 + 2.0 * float(np.sum(rho[1:] ** k)), 0.1) for k in (3, 4))
-    statistic = len(e) * (skewness**2 / (6.0 * third) + kurtosis**2 / (24.0 * fourth))
-    return skewness, kurtosis, math.exp(-0.5 * statistic)
+def _shape(centred: Sequence[Floats], rho: Floats) -> Shape:
+    """The shape of residuals, beside that of a Gaussian process of these autocorrelations."""
+    return shape_of(np.concatenate(centred), *(max(1.0 + 2.0 * float(np.sum(rho[1:] ** k)), 0.1) for k in (3, 4)))
 
 
 def _strongest(centred: Sequence[Floats], rho: Floats, channels: Mapping[str, Sequence[Floats]]) -> Driver | None:

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from bayeq.errors import UnknownNameError
 from bayeq.plugins import Table
+from bayeq.systems.cart_pole import CART_POLE
 from bayeq.systems.coulomb import COULOMB
+from bayeq.systems.double_pendulum import DOUBLE_PENDULUM
 from bayeq.systems.duffing import DUFFING
 from bayeq.systems.linear import LINEAR
 from bayeq.systems.lorenz import LORENZ
@@ -19,7 +21,7 @@ from bayeq.systems.vanderpol import VANDERPOL
 
 __all__ = ["SYSTEMS", "BandLimitedForce", "System", "get_system", "simulate"]
 
-_OWN = (LINEAR, DUFFING, QUADRATIC, COULOMB, LORENZ, VANDERPOL)
+_OWN = (LINEAR, DUFFING, QUADRATIC, COULOMB, LORENZ, VANDERPOL, CART_POLE, DOUBLE_PENDULUM)
 SYSTEMS = Table("systems", System, {system.name: system for system in _OWN})
 
 

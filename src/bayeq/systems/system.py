@@ -42,7 +42,7 @@ class System:
         names of a chain but the last are states, or the only one.
     terms : mapping of str to mapping of str to str
         Target -> term -> coefficient in the parameters. The target is the last name of a chain, or ``"dx"``
-        for a first-order state ``x``.
+        for a first-order state ``x``. Terms may hold the targets of other equations.
     parameters : mapping of str to float
         Nominal values, SI units.
     fixed : tuple of str
