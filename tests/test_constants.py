@@ -372,6 +372,32 @@ def test_first_order_kinetics():
     assert eq.constants[0].ci95[0] < 0.4 < eq.constants[0].ci95[1]
 
 
+@pytest.mark.parametrize(
+    ("added", "term", "place"),
+    [
+        (lambda x, v, t: -9.0 * (np.asarray(t) > 3.02), "where(t > {t0}, 1, 0)", 3.02),
+        pytest.param(
+            lambda x, v, t: -6.0 * (np.asarray(x) > 0.02), "where(x > {t0}, 1, 0)", 0.02, marks=pytest.mark.slow
+        ),
+    ],
+)
+def test_a_term_that_jumps_at_an_unknown_place_is_found(added, term, place):
+    eq = found(oscillator(added), f"x, v, u, {term}", holdout=0.0).equations[0]
+    assert set(eq.shown) == {"x", "v", "u", parse(term, ["x", "v", "u", "t"]).text}
+    assert eq.constants[0].value == pytest.approx(place, abs=0.02)
+
+
+def test_other_terms_that_stand_for_a_function_do_not_hide_its_constant():
+    """A Ricker map that grows to its rest, where a cubic does nearly as well: that was found with a PIP of 1."""
+    x = np.full(60, 0.05)
+    for k in range(59):
+        x[k + 1] = x[k] * math.exp(1.2 - 0.4 * x[k])
+    noisy = x + 0.02 * x.std() * np.random.default_rng(1).standard_normal(60)
+    eq = found(Record({"x": noisy}), "x, x**2, x**3, x*exp(-{b}*x)", chains="x", inputs=[], discrete=True).equations[0]
+    assert set(eq.shown) == {"x*exp(-{b}*x)"}
+    assert eq.constants[0].value == pytest.approx(0.4, abs=0.01)
+
+
 def test_terms_are_judged_with_the_constant_free():
     """Given the value of {K} that a false constant asks for, this had a PIP of 0.82."""
     record, truth, parameters = kinetics(0.05, 300003)

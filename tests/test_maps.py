@@ -16,7 +16,7 @@ import bayeq as bq
 from bayeq.cli.app import main
 from bayeq.dictionary import Variables, build_dictionary
 from bayeq.equation.report.page import repeat_command
-from bayeq.errors import ChainError, ExpressionError, InputError
+from bayeq.errors import ChainError, DataWarning, ExpressionError, InputError
 from bayeq.expressions import parse
 from bayeq.forecast.free_run import correlation_time, typical_period
 from bayeq.forecast.rows import rows_of
@@ -455,3 +455,16 @@ def test_what_is_not_possible_is_one_line(
     said = capsys.readouterr()
     assert match in said.err
     assert said.err.count("\n") == 1
+
+
+def test_an_input_that_changes_in_the_last_rows_alone_holds_none_out():
+    """Of the rows to be fitted nothing could be learned from it: that ended with a division by zero."""
+    rng, u = np.random.default_rng(0), np.repeat([0.0, 2.0], [180, 20])
+    x = np.full(200, 10.0)
+    for k in range(199):
+        x[k + 1] = 0.9 * x[k] + 0.3 * u[k] + 1.0
+    record = bq.Record({"x": x + 0.02 * x.std() * rng.standard_normal(200), "u": u})
+    with pytest.warns(DataWarning, match="u: no change but in the last rows: all rows are used, none held out"):
+        eqs = bq.discover(record, chains="x", inputs=["u"], discrete=True, dictionary="x, u, x**2")
+    assert set(eqs.equations[0].shown) == {"x", "u"}
+    assert eqs.equations[0].held_out is None

@@ -56,7 +56,7 @@ from bayeq.states import (
 from bayeq.states.bad_samples import Learned
 from bayeq.states.believed import without_hum
 from bayeq.states.maps import in_samples
-from bayeq.states.motion import held_out_share
+from bayeq.states.motion import cut_at, held_out_share
 from bayeq.states.prepare import bridged_record, cleaned, divided_at_gaps, require_enough
 from bayeq.streaming.whole import Whole
 
@@ -460,11 +460,24 @@ def _prepared(
     log.extend(messages, DataWarning)
     require_enough(records, roles)
     records, messages = divided_at_gaps(records, roles, smooth)
+    still = _still(records, [*roles.measured, *roles.inputs], share)
+    if still:
+        share = 0.0
+        messages.append(f"{some_of(still, 30)}: no change but in the last rows: all rows are used, none held out")
     if smooth != "none" and not roles.discrete and all(record.time is not None for record in records):
         chains, computed = measured_apart(records, roles.chains, share)
         roles, messages = roles.with_chains(chains), messages + computed
     log.extend(messages, DataWarning)
     return records, roles, share
+
+
+def _still(records: Sequence[Record], names: Sequence[str], share: float) -> list[str]:
+    """Channels that do not change in the rows of any record before those to be held out."""
+    if not share:
+        return []
+    first = {name: [record[name][: cut_at(record.n, share)] for record in records] for name in names}
+    known = {name: np.concatenate([values[np.isfinite(values)] for values in some]) for name, some in first.items()}
+    return [name for name, values in known.items() if not len(values) or not np.ptp(values) > 0.0]
 
 
 def _inspect(motion: Motion, records: Sequence[Record], holdout: float, log: WarningLog) -> None:
@@ -475,7 +488,7 @@ def _inspect(motion: Motion, records: Sequence[Record], holdout: float, log: War
     used, _ = motion.counts
     if used < LEAST_TRAINING_ROWS:
         raise RecordError(f"holdout {holdout:g} leaves {used} training rows, too few for a regression; lower it")
-    if holdout > 0 and motion.holdout == 0:
+    if holdout > 0 and held_out_share(holdout, total) == 0:
         log.warn(f"only {total} rows: all are used, none held out to judge the equation by; measure more", DataWarning)
 
 

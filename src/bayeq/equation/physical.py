@@ -41,6 +41,9 @@ PLACES, BEYOND = 2001, 0.5
 # Newton's steps, and the step of derivatives as a share of the range.
 STEPS, STEP = 20, 1e-4
 
+# Positions of rest nearer to zero than this share of the record's range are there.
+AT_ZERO = 1e-9
+
 # Draws that may have no position of rest.
 FEW = 0.025
 
@@ -203,7 +206,7 @@ def physical_parameters(
         values = -theta[f.symbol] * (1.0 if weight is None else weight)
         meaning = f.meaning if weight is not None else f"{f.meaning} per unit of mass"
         quantities.append(quantity(f.symbol + per, meaning, values, system.unit(f.powers, weight is not None)))
-    if position is not None:
+    if position is not None and span is not None and np.abs(position).max() > AT_ZERO * (span[1] - span[0]):
         quantities.append(quantity("x0", "position of rest", position * system.per_length, system.displacement()))
     explained = {f.term for f in forces} | ({driven} if driven is not None else set())
     known = {q.symbol: q for q in quantities}
@@ -217,13 +220,15 @@ def first_order_parameters(
 ) -> PhysicalParameters:
     """Time constant and gains of states of first order, ``tau x' = -x + gain u + ...``, a law per state.
 
-    The rest is as for `physical_parameters`. InputError if no state decays by a term of its own.
+    Those of laws that hold the state in other terms too have none. The rest is as for `physical_parameters`. InputError
+    if no state decays by a term of its own.
     """
     found, other, rng = list[Quantity](), list[str](), np.random.default_rng(seed)
     for law in laws:
         (x,), gains = law.chain.states, list[Quantity]()
         values = {term.text: drawn for term, drawn in drawn_coefficients(law, draws, rng)[1].items()}
-        if x not in values or not np.quantile(-values[x], 0.025) > 0.0:
+        bent = any(name != x and x in parse(name).names for name in values)
+        if bent or x not in values or not np.quantile(-values[x], 0.025) > 0.0:
             other += [name for name in values if name not in other]
             continue
         rate = np.where(values[x] < 0.0, -values[x], np.nan)

@@ -308,7 +308,7 @@ def _on_parts(found: RecordInfo) -> list[str]:
     record = found.experiments.records[0]
     names = [name for chain in found.guess.chains if len(chain) == 3 for name in chain if name is not None]
     peaks = [power.peak for name in names if (power := found.channels[name].spectrum) is not None and power.peak > 0.0]
-    again = starts_from_rest(record, names, 1.0 / min(peaks)) if peaks else []
+    again = starts_from_rest(record, [*names, *found.guess.inputs], 1.0 / min(peaks)) if peaks else []
     jumps = [gap.row + 1 for gap in found.gaps if gap.long]
     how, rows = ("time jumps before", jumps) if jumps else ("the motion begins again from rest at about", again)
     if not rows:

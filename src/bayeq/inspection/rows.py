@@ -18,9 +18,9 @@ from bayeq.arrays import Bools, Floats
 from bayeq.inspection.roles import Guess
 from bayeq.records import Record
 from bayeq.records.findings import clipped_levels, equal_runs
-from bayeq.records.names import is_time_name
+from bayeq.records.names import is_time_name, time_unit
 from bayeq.records.repair import GAP, LONG_GAP
-from bayeq.records.validate import SECONDS
+from bayeq.records.validate import SECONDS, in_seconds
 from bayeq.states import Roles
 from bayeq.states.bad_samples import BAD, find_bad_samples
 from bayeq.states.kinematic.model import LARGEST
@@ -81,7 +81,7 @@ def sort_rows(record: Record, time: str | None = None) -> Experiments:
             rising = [name for name in record.names if name != counter and _rises(record[name])]
             time = min(rising, key=lambda name: _doubt(record, name), default=None)
         if time is not None:
-            clock = record[time] * SECONDS.get(record.units.get(time, "s"), 1.0)
+            clock, _ = in_seconds(record[time], record.units.get(time) or time_unit(time), time)
         elif (step := next((name for name in record.names if _is_step(record, name)), None)) is not None:
             clock = np.asarray(np.arange(record.n) * float(np.nanmax(record[step])), dtype=np.float64)
     restarts = np.zeros(0, dtype=np.intp) if clock is None else np.flatnonzero(np.diff(clock) <= 0.0) + 1

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bayeq.arrays import Floats
 from bayeq.likelihood.adjoint import Adjoint, adjoint
-from bayeq.likelihood.blur import Blur, blur_of
+from bayeq.likelihood.blur import Blur, blur_of, first_blur
 from bayeq.likelihood.filter import Filtered, run_filter
 from bayeq.likelihood.layout import NOTHING, Candidates, Layout, Series, Stated
 from bayeq.likelihood.levels import Levels
@@ -132,7 +132,8 @@ def linearised(layout: Layout, series: Sequence[Series], state: State, substeps:
 def candidates(layout: Layout, series: Sequence[Series], state: State, step: int = 1) -> list[Floats]:
     """All candidates and the constant along a fit's paths, at every `step`-th sample, (n, P + 1) of each record."""
     blurs, out = state.blurs or (None,) * len(series), []
-    for one, path, blur in zip(series, state.paths, blurs, strict=True):
+    for one, path, known in zip(series, state.paths, blurs, strict=True):
+        blur = first_blur(layout, one, path) if known is None and layout.jumps else known
         inputs, along = (one.inputs if blur is None else blur.beside(one.inputs))[::step], path[::step]
         free, _ = targets_along(layout, along, inputs, state.chosen, state.theta)
         out.append(terms_at(layout, along, inputs, free))

@@ -259,8 +259,9 @@ class Soft:
         state = replace(state, chosen=state.chosen._replace(term=column[state.chosen.term]))
         stated = [one._replace(parts=tuple((c, int(column[j]), w) for c, j, w in one.parts)) for one in layout.stated]
         layout = replace(layout, stated=tuple(stated))
-        if stated:
-            state = replace(state, levels=replace(state.levels, layout=layout))
+        # the widths of further jumps are not known
+        blurs = state.blurs if layout.jumps == state.levels.layout.jumps else ()
+        state = replace(state, levels=replace(state.levels, layout=layout), blurs=blurs)
         own = replace(task, layout=layout, recent=[])
         linears = own.linearised(state)
         found = marginal(linears, state, state.levels, precision)
@@ -455,7 +456,7 @@ def _most_probable(search: Soft) -> tuple[Sizes, Floats, dict[Sizes, float]]:
             prior = np.log(np.append(0.5, np.full(len(grid) - 1, 0.5 / max(len(grid) - 1, 1))))
             at = [tuple(float(size) if c in group else tau[c] for c in range(chains)) for size in grid]
             quick = np.array([search.best(one) for one in at]) + prior
-            lines[k] = {one: p for one, p, b in zip(at, prior, quick, strict=True) if b > quick.max() - NEGLIGIBLE}
+            lines[k] = {one: p for one, p, b in zip(at, prior, quick, strict=True) if b >= quick.max() - NEGLIGIBLE}
             best = max(lines[k], key=lambda one: search.evidence(one) + lines[k][one])
             tau = list(best)
         if tuple(tau) == before:

@@ -35,7 +35,7 @@ from bayeq.dictionary.ranges import (
 )
 from bayeq.expressions import Binary, Expression, Node, Unknown, number
 from bayeq.inference.collapsed.conditional import exact_posterior
-from bayeq.inference.collapsed.search import best_models
+from bayeq.inference.collapsed.search import best_models, scores_of
 from bayeq.likelihood.fit import (
     Quadratic,
     State,
@@ -59,8 +59,9 @@ Forms = Mapping[str, Mapping[str, float]]
 # Smoothed rows in which values are sought, at most, where no term is a wave.
 ROWS = 4000
 
-# Values that are tried on the likelihood about a fit, those that explain most of the smoothed rows.
-TRIED = 24
+# Values that are tried on the likelihood about a fit, those that explain most of the smoothed rows; of these as many
+# are fitted at most.
+TRIED, SETTLED = 24, 4
 
 # Rounds of trying others and of moving; another value is taken where it is likelier by this many nats.
 ROUNDS, BETTER = 3, 0.5
@@ -195,15 +196,17 @@ def settled(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fitted]:
 def _elsewhere(motion: Motion, task: Task, fitted: Fitted, family: Sequence[int]) -> tuple[Task, Fitted]:
     """The fit, or one with other values of the constants of a family that the likelihood about it finds likelier."""
     now = {name: one.value for j in family for name, one in task.layout.terms[j].unknowns.items()}
-    here, *others = _on_gram(task, fitted, family, [now, *_by_rows(task, motion, family)[:TRIED]])
-    best = max(others, key=lambda one: one.score)
-    if not best.score >= here.score + BETTER:
-        return task, fitted
-    try:
-        other = settle(*_at(motion, task, fitted, best))
-    except np.linalg.LinAlgError:
-        return task, fitted
-    return other if other[1].evidence > fitted.evidence else (task, fitted)
+    tried = [one for one in _by_rows(task, motion, family)[:TRIED] if one != now]
+    here, *others = _on_gram(task, fitted, family, [now, *tried])
+    likelier = [one for one in others if one.score >= here.fitted + BETTER]
+    for node in sorted(likelier, key=lambda one: -one.score)[:SETTLED]:  # what is far from the fit may mislead
+        try:
+            other = settle(*_at(motion, task, fitted, node))
+        except np.linalg.LinAlgError:
+            continue
+        if other[1].evidence > fitted.evidence:
+            return other
+    return task, fitted
 
 
 def _instead(motion: Motion, task: Task, fitted: Fitted, active: int, j: int) -> tuple[Task, Fitted]:
@@ -217,12 +220,14 @@ def _instead(motion: Motion, task: Task, fitted: Fitted, active: int, j: int) ->
 
 
 class _Node(NamedTuple):
-    """Values of some constants, the log posterior of the likeliest model there, that model and its coefficients."""
+    """Values of some constants; log posterior of the likeliest model there, the model, its coefficients; log posterior
+    of the fitted model."""
 
     values: Mapping[str, float]
     score: float
     model: Bools
     theta: Floats
+    fitted: float
 
 
 def _at(motion: Motion, task: Task, fitted: Fitted, node: _Node) -> tuple[Task, State]:
@@ -258,9 +263,10 @@ def _on_gram(task: Task, fitted: Fitted, family: Sequence[int], values: Sequence
         try:
             problem = own.problem(Quadratic(q.level, q.slope[at], q.information[np.ix_(at, at)]))
         except np.linalg.LinAlgError:
-            out.append(_Node(one, -math.inf, np.zeros(C * (P + 1), dtype=np.bool_), np.zeros(0)))
+            out.append(_Node(one, -math.inf, np.zeros(C * (P + 1), dtype=np.bool_), np.zeros(0), -math.inf))
             continue
         score, model = best_models(problem)[0]
+        same = np.hstack([fitted.model.reshape(C, -1), known[:, P + 1 :] > -np.inf]).ravel()
         coef, _ = exact_posterior(problem, model, None)
         theta = (coef / np.sqrt(own.precision)).reshape(C, -1)
         found = model.reshape(C, -1)[:, : P + 1]
@@ -273,7 +279,8 @@ def _on_gram(task: Task, fitted: Fitted, family: Sequence[int], values: Sequence
             step = float(np.sum(size * np.array([theta[:, i] for _, i in pairs]))) / square if square else 0.0
             step = float(np.clip(step, -1.0, 1.0)) * min(1.0, extent(constant) / NODES / max(abs(step), 1e-300))
             moved[name] = _bounded(constant, to_scale(constant, constant.value) + step)
-        out.append(_Node(moved, score, found.ravel(), theta[:, : P + 1][found]))
+        before = float(scores_of(problem, same[None])[0])
+        out.append(_Node(moved, score, found.ravel(), theta[:, : P + 1][found], before))
     return out
 
 
@@ -497,21 +504,29 @@ def _costs(task: Task, fitted: Fitted) -> dict[int, float]:
 
 
 def _by_rows(task: Task, motion: Motion, family: Sequence[int]) -> list[dict[str, float]]:
-    """Values of a family's constants, those first that explain most of the smoothed rows."""
-    return _ranked(task.layout.terms, motion, _allowed(task), family)[0]
+    """Values of a family's constants, those first that explain most of the smoothed rows.
+
+    Beside the other terms and without them in turn: those may stand for a function that one term is.
+    """
+    terms, allowed = task.layout.terms, _allowed(task)
+    beside, alone = (_ranked(terms, motion, allowed, family, others)[0] for others in (True, False))
+    out: list[dict[str, float]] = []
+    for pair in zip(beside, alone, strict=True):
+        out += [one for one in pair if one not in out]
+    return out
 
 
 def _ranked(
-    terms: Sequence[Expression], motion: Motion, allowed: Bools, family: Sequence[int]
+    terms: Sequence[Expression], motion: Motion, allowed: Bools, family: Sequence[int], beside: bool = True
 ) -> tuple[list[dict[str, float]], list[float]]:
-    """Values of a family's constants, those first that explain most of the smoothed rows beside the other terms."""
+    """Values of a family's constants, those first that explain most of the smoothed rows, beside the other terms."""
     own = [terms[j] for j in family]
     rivals = {one.choice for one in own} - {""}
     waves = any("sin" in one.text or "cos" in one.text for one in own)
     total = sum(rows.n for rows in motion.train)
     step = 1 if waves else max(1, total // ROWS)
     parts = [rows.part(slice(None, None, step)) for rows in motion.train]
-    others = [term for j, term in enumerate(terms) if j not in family and term.choice not in rivals]
+    others = [term for j, term in enumerate(terms) if beside and j not in family and term.choice not in rivals]
     Y = np.concatenate([np.column_stack([rows.columns[t] for t in motion.roles.targets]) for rows in parts])
     D = np.ones((len(Y), 1))
     if others:

@@ -15,7 +15,7 @@ from bayeq.errors import DataWarning, RecordError
 from bayeq.records.columns import Columns, listed
 from bayeq.records.names import time_unit
 from bayeq.records.units import gain_and_unit
-from bayeq.records.validate import SECONDS, check_time, time_from, trial_starts
+from bayeq.records.validate import SECONDS, check_time, in_seconds, time_from, trial_starts
 
 #: Names of a single number that is the time step [s], or the sampling rate [Hz].
 STEP_NAMES = ("dt", "Dt", "DT", "Ts", "dT", "delta_t", "time_step", "sampling_time", "sample_time", "wf_increment")
@@ -149,12 +149,7 @@ def _time(data: Columns, column: int | None, units: Mapping[int, str | None]) ->
     if column is None:
         return None, {}
     seconds, unit = data.values[column], units[column] or time_unit(data.names[column])
-    seconds, unit = _since_first(seconds, unit)
-    if unit is not None and unit in SECONDS:
-        factor = SECONDS[unit]
-        # Dividing by 1000 rounds once; multiplying by 0.001, itself rounded, would round twice.
-        seconds = seconds * factor if factor >= 1 else seconds / round(1 / factor)
-        unit = "s"
+    seconds, unit = in_seconds(seconds, unit, data.names[column])
     others = [name for i, name in enumerate(data.names) if i != column]
     return seconds, {"t": unit} if unit and "t" not in others else {}
 
@@ -168,12 +163,3 @@ def _warn_of_repeated(rows: NDArray[np.intp], where: str) -> None:
     counted = f"{len(rows)} rows repeat times" if len(rows) > 1 else "1 row repeats the time"
     message = f"{where}: {counted} of the row before ({listed}): the first of each is kept; check the acquisition"
     warnings.warn(message, DataWarning, stacklevel=4)
-
-
-def _since_first(time: Floats, unit: str | None) -> tuple[Floats, str | None]:
-    """Time since 1970, of the years 2001 to 2096, as time since the first row, and its unit; others as they are."""
-    if len(time) > 1:
-        for own, factor in (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
-            if unit in (None, own) and np.all((time > 1e9 * factor) & (time < 4e9 * factor)):
-                return time - time[0], own
-    return time, unit

@@ -59,6 +59,9 @@ LEAST_AGAIN = 20
 # Fewer rows tell nothing.
 LEAST_ROWS_TO_CHECK = 20
 
+# The velocity of a bounded motion changes from end to end by at most its swing, twice that of a velocity without trend.
+MOVED_OFF = 3.0
+
 
 @dataclass(frozen=True, slots=True)
 class Finding:
@@ -124,6 +127,8 @@ def check_record(
     found = [*_dropped(record, names[0]), *(_clock(record, names[0]) if len(split[0]) > 2 else ())] if names else []
     whole = {name: bool(np.isfinite(record[name]).all()) for name in (*names, *inputs)}
     for chain in split:
+        if len(chain) == 3 and chain[:2] == [None, None] and chain[2] is not None and whole[chain[2]]:
+            found += _moved_off(record, chain[2])
         found += _kinematics(record, [name if name and whole[name] else None for name in chain])
     for name in dict.fromkeys((*names, *inputs)):
         if whole[name] and record.n >= LEAST_ROWS_TO_CHECK:
@@ -343,6 +348,18 @@ def _student(z: float, freedom: int) -> float:
     second = (5.0 * z**5 + 16.0 * z**3 + 3.0 * z) / (96.0 * freedom**2)
     third = (3.0 * z**7 + 19.0 * z**5 + 17.0 * z**3 - 15.0 * z) / (384.0 * freedom**3)
     return z + first + second + third
+
+
+def _moved_off(record: Record, name: str) -> list[Finding]:
+    """A mean of an acceleration that would change the velocity by far more than the rest of it does."""
+    values, step, mean = record[name], record.dt, float(record[name].mean())
+    if step is None or record.n < LEAST_ROWS_TO_CHECK:
+        return []
+    swing = float(np.ptp(np.cumsum(values - mean))) * step
+    if not abs(mean) * record.n * step > MOVED_OFF * swing:
+        return []
+    message = f"{name} has a mean of {mean:.3g}: unless it moves away with it, take it out (--remove-offset {name})"
+    return [Finding("offset", (name,), message, mean)]
 
 
 # --- samples ---------------------------------------------------------------------------------------------------------

@@ -120,8 +120,54 @@ SECONDS: Mapping[str, float] = {
     "s": 1.0, "sec": 1.0, "secs": 1.0, "second": 1.0, "seconds": 1.0,
     "Sec": 1.0, "SEC": 1.0, "Second": 1.0, "Seconds": 1.0, "Sekunde": 1.0, "Sekunden": 1.0,
     "ms": 1e-3, "msec": 1e-3, "milliseconds": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9,
-    "min": 60.0, "minutes": 60.0, "h": 3600.0, "hours": 3600.0,
+    "min": 60.0, "mins": 60.0, "minute": 60.0, "minutes": 60.0,
+    "h": 3600.0, "hr": 3600.0, "hour": 3600.0, "hours": 3600.0,
+    "d": 86400.0, "day": 86400.0, "days": 86400.0, "Tag": 86400.0, "Tage": 86400.0, "week": 604800.0, "weeks": 604800.0,
 }  # fmt: skip
+
+
+# A step over midnight is no longer than this many usual ones.
+_MOST_AT_MIDNIGHT = 10.0
+
+# Excel's numbers of the days of 2000 to 2099, and parts of the names of columns that have dates.
+_DAYS = (36526.0, 73051.0)
+_DATE_WORDS = ("date", "datum", "stamp", "stempel")
+
+
+def in_seconds(time: Floats, unit: str | None, name: str) -> tuple[Floats, str | None]:
+    """Time in seconds, since the first row where it has dates, and the unit that it has then.
+
+    Numbers of seconds since 1970, of the years 2001 to 2096, and Excel's numbers of days are dates; the latter are in a
+    column of such a name, unless steps are of few decimals, as those of seconds since midnight are.
+    """
+    if len(time) > 1:
+        for own, factor in (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
+            if unit in (None, own) and np.all((time > 1e9 * factor) & (time < 4e9 * factor)):
+                time, unit = time - time[0], own
+                break
+        step = float(np.median(np.diff(time)))
+        dated = unit is None and any(word in name.casefold() for word in _DATE_WORDS)
+        if dated and abs(step - round(step, 5)) > 1e-3 * step and np.all((time > _DAYS[0]) & (time < _DAYS[1])):
+            time, unit = time - time[0], "d"
+    if unit in (None, "s"):
+        time = _beyond_midnight(time)
+    if unit is None or unit not in SECONDS:
+        return time, unit
+    factor = SECONDS[unit]
+    # Dividing by 1000 rounds once; multiplying by 0.001, itself rounded, would round twice.
+    return time * factor if factor >= 1 else time / round(1 / factor), "s"
+
+
+def _beyond_midnight(time: Floats) -> Floats:
+    """Seconds of the day that go on behind midnight; others as they are."""
+    steps, day = np.diff(time), SECONDS["d"]
+    back = steps < 0.0
+    if not back.any() or not np.ptp(time) < day:
+        return time
+    onward = steps[back] + day
+    if not np.all((onward > 0.0) & (onward <= _MOST_AT_MIDNIGHT * np.median(steps))):
+        return time
+    return time + np.append(0.0, np.cumsum(np.where(back, day, 0.0)))
 
 
 def check_name(name: object, where: str) -> None:
