@@ -87,7 +87,7 @@ class RecordRegression(Regression):
     def shape(self) -> Shape | None:
         """As of `Regression`."""
         shapes = [self.record.adequacy.shapes[name] for name in self.chain.measured if name is not None]
-        return min(shapes, key=lambda one: one.normality) if self.through_motion and shapes else None
+        return min(shapes, key=lambda one: one.normality) if shapes else None
 
     def hides_noise(self, name: str) -> bool:
         """As of `Regression`."""

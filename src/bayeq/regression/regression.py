@@ -113,7 +113,7 @@ class Regression:
 
     @property
     def shape(self) -> Shape | None:
-        """The shape of what a target that is not measured leaves of the channels of its chain; None of rows."""
+        """The shape of what is left of the channels of the chain; None of rows."""
         return None
 
     def hides_noise(self, name: str) -> bool:
@@ -167,20 +167,22 @@ class Regression:
     def residuals(self, posterior: Posterior, channels: Sequence[str] = ()) -> Residuals:
         """Training residuals, against some channels; those that are rounding of the Gram count as white."""
         train, smoothing = self.motion.train, self.motion.estimated_by(self.k)
+        places = [(i, part) for i in range(len(train)) for part in self.motion.smoothed_pieces(i)]
+        pieces = [train[i].part(part) for i, part in places]
         found = inspect_residuals(
-            [self._residual(posterior, i) for i in range(len(train))],
-            {name: [rows.columns[name][_judged(rows, smoothing)] for rows in train] for name in channels},
+            [self._residual(posterior, rows, *place) for rows, place in zip(pieces, places, strict=True)],
+            {name: [rows.columns[name][_judged(rows, smoothing)] for rows in pieces] for name in channels},
         )
         return found if self.fit(posterior).nrmse > ROUNDING else Residuals(found.n, 0.0, float(found.n))
 
-    def _residual(self, posterior: Posterior, i: int) -> Floats:
-        """What a posterior leaves of the target in the rows of record i that equations are judged by."""
-        rows, smoothing = self.motion.train[i], self.motion.estimated_by(self.k)
+    def _residual(self, posterior: Posterior, rows: MotionRows, i: int, part: slice) -> Floats:
+        """What a posterior leaves of the target in some rows, part of record i: those that equations are judged by."""
+        smoothing = self.motion.estimated_by(self.k)
         out: Floats = rows.observed[self.chain.target] - posterior.intercept
         kept = np.flatnonzero(posterior.support)
         if len(kept):
             terms = [self.design.terms[j] for j in kept]
-            D = self.design.kept[i][:, kept] if self.design.kept else evaluate_terms(terms, rows.columns)
+            D = self.design.kept[i][part][:, kept] if self.design.kept else evaluate_terms(terms, rows.columns)
             out = out - _filtered(D, terms, self.motion.roles.states, smoothing) @ posterior.coef[kept]
         return out[_judged(rows, smoothing)]
 
@@ -233,12 +235,14 @@ def _filtered_gram(design: Design, k: int, pieces: Sequence[MotionRows], kept: b
     target = roles.chains[k].target
 
     def blocks() -> Iterator[tuple[Floats, Floats]]:
-        for i, rows in enumerate(pieces):
-            D = design.columns(i) if kept else evaluate_terms(design.terms, rows.columns)
-            chosen = np.zeros(rows.n, dtype=np.bool_)
-            chosen[_judged(rows, smoothing)] = True
-            chosen &= rows.known
-            yield _filtered(D, design.terms, roles.states, smoothing)[chosen], rows.observed[target][chosen, None]
+        for i, whole in enumerate(pieces):
+            for part in design.motion.smoothed_pieces(i) if kept else [slice(None)]:
+                rows = whole.part(part)
+                D = design.columns(i)[part] if kept else evaluate_terms(design.terms, rows.columns)
+                chosen = np.zeros(rows.n, dtype=np.bool_)
+                chosen[_judged(rows, smoothing)] = True
+                chosen &= rows.known
+                yield _filtered(D, design.terms, roles.states, smoothing)[chosen], rows.observed[target][chosen, None]
 
     return grams_from_blocks(blocks(), design.names)[0]
 

@@ -80,8 +80,8 @@ class Residuals:
     n_eff : float
         Effective sample size n / (1 + 2 sum rho_k), the sum over the lags up to the first rho_k <= 0.
     skewness, kurtosis, normality : float
-        See `bayeq.numerics.normal.Shape`. Of a target that is not measured they are those of the standardised
-        innovations of the channel of its chain that is least normal.
+        See `bayeq.numerics.normal.Shape`. By the likelihood of the record they are those of the standardised
+        innovations of the channel of the chain that is least normal: residuals may be larger here than there.
     driver : Driver or None
         The input or state that they follow most, where channels were given.
     discrepancy : float or None
@@ -172,11 +172,18 @@ def _shape(centred: Sequence[Floats], rho: Floats) -> Shape:
     return shape_of(np.concatenate(centred), *(max(1.0 + 2.0 * float(np.sum(rho[1:] ** k)), 0.1) for k in (3, 4)))
 
 
+def _both_ways(first: Sequence[Floats], second: Sequence[Floats], lags: int) -> Floats:
+    """Sums of products at lags of the first behind the second, from -lags to lags."""
+    return np.concatenate([_correlation(second, first)[lags:0:-1], _correlation(first, second)[: lags + 1]])
+
+
 def _strongest(centred: Sequence[Floats], rho: Floats, channels: Mapping[str, Sequence[Floats]]) -> Driver | None:
     """The channel with the most significant cross-correlation.
 
-    Under independence the cross-correlations have variance 1/n sum rho_k rho'_k over all lags (Bartlett 1946); the
-    largest is compared with a normal distribution, times the number of lags and channels that it was chosen from.
+    Under independence the cross-correlations have variance 1/n sum rho_k rho'_k over all lags (Bartlett 1946), times
+    the mean of the products of both squares over the product of their means: after a blow both are large together
+    (White 1980). The largest is compared with a normal distribution, times the number of lags and channels that it was
+    chosen from.
     """
     n = sum(len(piece) for piece in centred)
     own = math.sqrt(sum(float(e @ e) for e in centred))
@@ -187,11 +194,12 @@ def _strongest(centred: Sequence[Floats], rho: Floats, channels: Mapping[str, Se
         other = _correlation(z, z)
         if not other[0] > 0:
             continue
-        both = np.concatenate([_correlation(z, centred)[lags:0:-1], _correlation(centred, z)[: lags + 1]])
-        r = both / (own * math.sqrt(other[0]))
-        variance = max(1.0 + 2.0 * float(rho[1:] @ other[1:]) / other[0], 0.1) / n
-        k = int(np.argmax(np.abs(r)))
-        t = abs(float(r[k])) / math.sqrt(variance)
+        r = _both_ways(centred, z, lags) / (own * math.sqrt(other[0]))
+        squares = _both_ways([e**2 for e in centred], [one**2 for one in z], lags)
+        together = np.maximum(1.0, n * squares / (own**2 * other[0]))
+        variance = together * max(1.0 + 2.0 * float(rho[1:] @ other[1:]) / other[0], 0.1) / n
+        k = int(np.argmax(np.abs(r) / np.sqrt(variance)))
+        t = abs(float(r[k])) / math.sqrt(variance[k])
         p = min(1.0, len(channels) * len(r) * math.erfc(t / math.sqrt(2.0)))
         found.append((t, Driver(name, k - lags, float(r[k]), p)))
     return max(found, key=lambda entry: entry[0])[1] if found else None

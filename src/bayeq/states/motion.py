@@ -76,6 +76,7 @@ class Motion:
         default_factory=dict
     )  # how inputs go between samples, where not smooth
     noise_sd: Mapping[str, float] = field(default_factory=dict)  # of channels, in their units, by the likelihood
+    seams: tuple[int, ...] = ()  # where each record was divided to be smoothed; empty if it was not
 
     @cached_property
     def train(self) -> tuple[MotionRows, ...]:
@@ -94,7 +95,12 @@ class Motion:
     @property
     def whole(self) -> Motion:
         """The same motion with no rows held out; those that were are smoothed apart."""
-        return replace(self, cuts=tuple(rows.n for rows in self.records), holdout=0.0)
+        return replace(self, cuts=tuple(rows.n for rows in self.records), holdout=0.0, seams=self.cuts)
+
+    def smoothed_pieces(self, i: int) -> list[slice]:
+        """The training rows of record i, in the pieces that were smoothed."""
+        seam = self.seams[i] if self.seams else 0
+        return [slice(0, seam), slice(seam, self.cuts[i])] if 0 < seam < self.cuts[i] else [slice(0, self.cuts[i])]
 
     @property
     def counts(self) -> tuple[int, int]:
