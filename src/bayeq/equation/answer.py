@@ -130,7 +130,11 @@ class DataSummary:
             seconds=None if rows_as_time or not motion.timed else sum(lengths),
             rows_as_time=rows_as_time,
             band=motion.band,
-            interpolation=motion.courses,
+            interpolation={
+                name: kind
+                for name, kind in motion.courses.items()
+                if any(np.ptp(rows.columns[name]) > 0.0 for rows in motion.records)
+            },
             noise_sd=motion.noise_sd,
         )
 

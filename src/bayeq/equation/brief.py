@@ -122,7 +122,8 @@ def in_symbols(equation: Equation, found: PhysicalParameters, inputs: Sequence[s
 
 
 def _quantities(quantities: Sequence[Quantity]) -> list[str]:
-    cells = [(q.symbol, *q.cells, q.meaning) for q in quantities]
+    # tau[x] says of what it is the time constant
+    cells = [(q.symbol, *q.cells, q.meaning.partition(" of ")[0] if "[" in q.symbol else q.meaning) for q in quantities]
     rows = [(symbol, mean, f"({interval})", printable(unit), why) for symbol, mean, _, interval, unit, why in cells]
     return [f"    {line}" for line in aligned(rows, left=(0, 2, 3, 4))]
 
@@ -174,7 +175,9 @@ def failed(equation: Equation) -> Iterator[str]:
     # of a static law the noise of its inputs is in what is left, here more and there less
     if found.normality < DOUBTFUL and found.kurtosis > 0.0 and not equation.chain.static:
         yield "what is left has heavy tails: try --tails student"
-    if found.driver is not None and found.driver.p_value < DOUBTFUL:
+    # errors of a derivative that is estimated are smooth where the motion is: tests of a law that is found say more
+    tested = equation.chain.measured[-1] is None and equation.verdict.kind == "found"
+    if found.driver is not None and found.driver.p_value < DOUBTFUL and not tested:
         yield printable(f"what is left follows {found.driver}: a term with it may be missing, or it is delayed")
     yield from map(printable, (*forms_of(equation), *equation.at_ends))
     for left in equation.left_out:
