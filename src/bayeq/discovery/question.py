@@ -460,7 +460,7 @@ def _prepared(
     log.extend(messages, DataWarning)
     require_enough(records, roles)
     records, messages = divided_at_gaps(records, roles, smooth)
-    still = _still(records, [*roles.measured, *roles.inputs], share)
+    still = _still(records, roles.inputs, share)
     if still:
         share = 0.0
         messages.append(f"{some_of(still, 30)}: no change but in the last rows: all rows are used, none held out")
@@ -472,12 +472,13 @@ def _prepared(
 
 
 def _still(records: Sequence[Record], names: Sequence[str], share: float) -> list[str]:
-    """Channels that do not change in the rows of any record before those to be held out."""
-    if not share:
+    """Inputs that do not change in the rows of any record before those to be held out."""
+    cuts = [cut_at(record.n, share) for record in records]
+    if not share or sum(cuts) < LEAST_TRAINING_ROWS:
         return []
-    first = {name: [record[name][: cut_at(record.n, share)] for record in records] for name in names}
+    first = {name: [record[name][:cut] for record, cut in zip(records, cuts, strict=True)] for name in names}
     known = {name: np.concatenate([values[np.isfinite(values)] for values in some]) for name, some in first.items()}
-    return [name for name, values in known.items() if not len(values) or not np.ptp(values) > 0.0]
+    return [name for name, values in known.items() if len(values) and not np.ptp(values) > 0.0]
 
 
 def _inspect(motion: Motion, records: Sequence[Record], holdout: float, log: WarningLog) -> None:

@@ -122,8 +122,9 @@ def in_symbols(equation: Equation, found: PhysicalParameters, inputs: Sequence[s
 
 
 def _quantities(quantities: Sequence[Quantity]) -> list[str]:
-    # tau[x] says of what it is the time constant
-    cells = [(q.symbol, *q.cells, q.meaning.partition(" of ")[0] if "[" in q.symbol else q.meaning) for q in quantities]
+    # tau[x] says of what it is the time constant; a position of rest that is zero says nothing
+    told = [q for q in quantities if q.mean or q.sd]
+    cells = [(q.symbol, *q.cells, q.meaning.partition(" of ")[0] if "[" in q.symbol else q.meaning) for q in told]
     rows = [(symbol, mean, f"({interval})", printable(unit), why) for symbol, mean, _, interval, unit, why in cells]
     return [f"    {line}" for line in aligned(rows, left=(0, 2, 3, 4))]
 

@@ -206,7 +206,7 @@ def physical_parameters(
         values = -theta[f.symbol] * (1.0 if weight is None else weight)
         meaning = f.meaning if weight is not None else f"{f.meaning} per unit of mass"
         quantities.append(quantity(f.symbol + per, meaning, values, system.unit(f.powers, weight is not None)))
-    if position is not None and span is not None and np.abs(position).max() > AT_ZERO * (span[1] - span[0]):
+    if position is not None:
         quantities.append(quantity("x0", "position of rest", position * system.per_length, system.displacement()))
     explained = {f.term for f in forces} | ({driven} if driven is not None else set())
     known = {q.symbol: q for q in quantities}
@@ -381,6 +381,7 @@ def _about_rest(
         for _ in range(STEPS):
             position = position - force(position, alone, constant) / slope(position, alone)
     position = np.where((position > low) & (position < high), position, np.nan)
+    position = np.where(np.abs(position) > AT_ZERO * width, position, 0.0 * position)
     if np.isnan(position).mean() > FEW:
         raise _not_at_rest(x, span)
 
