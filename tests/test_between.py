@@ -114,6 +114,8 @@ def test_a_true_tie_holds_and_a_wrong_one_is_refused_with_its_odds() -> None:
     with pytest.warns(BayeqWarning, match=r"contradicts ddx1: x1-x2 == ddx2: x2-x1 \(odds 1:"):
         wrong = _two_masses(["ddx1: x1-x2 == ddx2: x2-x1"])
     assert [eq.shown for eq in wrong] == [eq.shown for eq in free]
+    assert not wrong.constraints
+    assert tied.constraints == ("ddx1: x1-x2 == 2*(ddx2: x2-x1)",)
 
 
 def test_a_coefficient_that_was_measured_before_is_sharper_and_a_wrong_one_is_told() -> None:
