@@ -15,7 +15,7 @@ from studies.constants import kinetics
 
 import bayeq as bq
 from bayeq.dictionary import Variables, build_dictionaries, build_dictionary
-from bayeq.dictionary.ranges import families, grids, located
+from bayeq.dictionary.ranges import ConstantEstimate, families, grids, located
 from bayeq.equation.brief import brief
 from bayeq.equation.explain import explanation
 from bayeq.equation.units import constant_units
@@ -23,7 +23,7 @@ from bayeq.equation.written import at_end
 from bayeq.errors import DataWarning, ExpressionError, InputError
 from bayeq.expressions import Evaluator, Unknown, parse
 from bayeq.likelihood.spike import Soft
-from bayeq.likelihood.unknowns import ConstantEstimate, _derivative
+from bayeq.likelihood.unknowns import _derivative
 from bayeq.records import Record
 
 VARIABLES = Variables(("x", "v"), ("u",))

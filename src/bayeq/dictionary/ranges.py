@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -56,6 +56,42 @@ MOST_NODES = 20_000
 
 _WAVES = ("sin", "cos")
 _POSITIVE = ("sqrt", "log", "log10", "log1p")
+
+
+# Log posterior of each member of an either-or, by the text of both.
+Forms = Mapping[str, Mapping[str, float]]
+
+
+@dataclass(frozen=True, slots=True)
+class ConstantEstimate:
+    """A constant inside terms, as the record tells it.
+
+    Attributes
+    ----------
+    name : str
+        As it is written between braces.
+    value : float
+        The likeliest.
+    sd : float or None
+        Standard deviation, of the logarithm where the constant is a scale; None of one in no term of the model.
+    ci95 : (float, float)
+        95 % interval, within the range.
+    low, high : float
+        The range in which it was sought.
+    logarithmic : bool
+        Whether it is a scale.
+    terms : tuple of str
+        Those of the model that it stands in; of one in none, those of the dictionary.
+    """
+
+    name: str
+    value: float
+    sd: float | None
+    ci95: tuple[float, float]
+    low: float
+    high: float
+    logarithmic: bool
+    terms: tuple[str, ...]
 
 
 def is_scale(constant: Unknown) -> bool:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bayeq.arrays import Floats
+from bayeq.dictionary.ranges import ConstantEstimate
 from bayeq.equation.equation import Equation
 from bayeq.equation.verdict import Verdict, worst
 from bayeq.errors import InputError
@@ -19,7 +20,6 @@ from bayeq.expressions import Evaluator, Expression
 from bayeq.expressions.functions import TIME
 from bayeq.forecast.score import Scores
 from bayeq.inference.posterior import Posterior
-from bayeq.likelihood.unknowns import ConstantEstimate
 from bayeq.ode.rk4 import Interpolation
 from bayeq.plan.conditions import Measured
 from bayeq.records import Record, counts_rows

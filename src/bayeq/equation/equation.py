@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bayeq.arrays import Bools, Floats
+from bayeq.dictionary.ranges import ConstantEstimate, Forms
 from bayeq.equation.intervals import Model, OverModels, around, cut, over_models, unlike
 from bayeq.equation.sensitivity import (
     PipCurve,
@@ -30,7 +31,6 @@ from bayeq.expressions.symbolic import step_latex
 from bayeq.forecast.dynamics import Law
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.posterior import Posterior
-from bayeq.likelihood.unknowns import ConstantEstimate, Forms
 from bayeq.markup import code, join, paragraph, table
 from bayeq.numerics.normal import Z95
 from bayeq.plan.models import CandidateModel

@@ -18,6 +18,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 import numpy as np
 
 from bayeq.arrays import Bools, Floats
+from bayeq.dictionary.ranges import ConstantEstimate
 from bayeq.equation.answer import DataSummary, EquationTuple, HiddenState, with_shown
 from bayeq.equation.equation import Equation
 from bayeq.equation.equations import Equations
@@ -29,7 +30,6 @@ from bayeq.expressions import Unknown, parse
 from bayeq.expressions.functions import TIME
 from bayeq.forecast.score import Scores
 from bayeq.inference.posterior import LARGEST, ModelAverage, Posterior
-from bayeq.likelihood.unknowns import ConstantEstimate
 from bayeq.numerics.normal import Z95
 from bayeq.records.io import near_files
 from bayeq.records.validate import check_name

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from bayeq.dictionary.ranges import ConstantEstimate
 from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation
 from bayeq.equation.intervals import Model
@@ -15,7 +16,6 @@ from bayeq.equation.oscillator import own_parameters
 from bayeq.equation.written import finite
 from bayeq.forecast.score import Scores
 from bayeq.inference.posterior import Posterior
-from bayeq.likelihood.unknowns import ConstantEstimate
 from bayeq.numerics.normal import Z95
 
 FORMAT = "bayeq-equations-1"

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from bayeq.likelihood.unknowns import ConstantEstimate
+from bayeq.dictionary.ranges import ConstantEstimate
 
 # A value is at the end of its range within this share of it.
 AT_END = 0.01

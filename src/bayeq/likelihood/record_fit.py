@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.arrays import Bools, Floats
+from bayeq.dictionary.ranges import ConstantEstimate, Forms
 from bayeq.expressions import Expression
 from bayeq.gram import Gram, Standardised
 from bayeq.inference.collapsed.search import scores_of
@@ -33,7 +34,7 @@ from bayeq.likelihood.settings import LIKELIHOOD
 from bayeq.likelihood.spike import Nearly, Soft, among_fitted, averaged, of_gram, soft_of
 from bayeq.likelihood.start import carried_over, series_and_paths, start_from
 from bayeq.likelihood.unequal import with_unequal_noise
-from bayeq.likelihood.unknowns import ConstantEstimate, Forms, first_members, joint_covariance, settled, with_constants
+from bayeq.likelihood.unknowns import first_members, joint_covariance, settled, with_constants
 from bayeq.ode.rk4 import Interpolation
 from bayeq.states import Lag, Motion, with_paths
 
@@ -554,8 +555,7 @@ def refit_record(
     stated, conserved = task.layout.stated, None
     if task.flows is not None:
         stated, conserved = stated[: len(stated) - task.flows.width], task.flows.weights
-    log_odds = log_odds.reshape(-1, former.width)
-    other = fit_record(motion, terms, log_odds, grams, task.tolerance, stated, conserved)
+    other = fit_record(motion, terms, log_odds.reshape(-1, former.width), grams, task.tolerance, stated, conserved)
     pairs = [one for one in (found, other) if one is not None]
     return max(pairs, key=lambda one: one.likeliest, default=None)
 

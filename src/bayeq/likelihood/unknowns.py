@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +22,8 @@ from bayeq.dictionary import evaluate_terms
 from bayeq.dictionary.ranges import (
     JUMP_NODES,
     NODES,
+    ConstantEstimate,
+    Forms,
     constants_of,
     extent,
     families,
@@ -53,15 +55,16 @@ from bayeq.likelihood.start import precision_of_terms
 from bayeq.numerics.normal import Z95
 from bayeq.states import Motion
 
-# Log posterior of each member of an either-or, by the text of both.
-Forms = Mapping[str, Mapping[str, float]]
-
 # Smoothed rows in which values are sought, at most, where no term is a wave.
 ROWS = 4000
 
-# Values that are tried on the likelihood about a fit, those that explain most of the smoothed rows; of these as many
-# are fitted at most.
-TRIED, SETTLED = 24, 4
+# Values that are tried on the likelihood about a fit, those that explain most of the smoothed rows; of their peaks as
+# many are fitted.
+TRIED, PEAKS = 24, 2
+
+# Where the likelihood about a fit finds another model likelier by more nats, at the values of the fit, it misleads: a
+# term is next to infinite somewhere.
+MISLEADS = 100.0
 
 # Rounds of trying others and of moving; another value is taken where it is likelier by this many nats.
 ROUNDS, BETTER = 3, 0.5
@@ -72,38 +75,6 @@ STEPS, FARTHEST, NEAR = 12, 0.25, 0.05
 
 # Differences of terms by their constants are over this much of a logarithm, or share of the range.
 STEP = 1e-4
-
-
-@dataclass(frozen=True, slots=True)
-class ConstantEstimate:
-    """A constant inside terms, as the record tells it.
-
-    Attributes
-    ----------
-    name : str
-        As it is written between braces.
-    value : float
-        The likeliest.
-    sd : float or None
-        Standard deviation, of the logarithm where the constant is a scale; None of one in no term of the model.
-    ci95 : (float, float)
-        95 % interval, within the range.
-    low, high : float
-        The range in which it was sought.
-    logarithmic : bool
-        Whether it is a scale.
-    terms : tuple of str
-        Those of the model that it stands in; of one in none, those of the dictionary.
-    """
-
-    name: str
-    value: float
-    sd: float | None
-    ci95: tuple[float, float]
-    low: float
-    high: float
-    logarithmic: bool
-    terms: tuple[str, ...]
 
 
 def first_values(terms: Sequence[Expression], motion: Motion, allowed: Bools) -> tuple[Expression, ...]:
@@ -196,10 +167,13 @@ def settled(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fitted]:
 def _elsewhere(motion: Motion, task: Task, fitted: Fitted, family: Sequence[int]) -> tuple[Task, Fitted]:
     """The fit, or one with other values of the constants of a family that the likelihood about it finds likelier."""
     now = {name: one.value for j in family for name, one in task.layout.terms[j].unknowns.items()}
-    tried = [one for one in _by_rows(task, motion, family)[:TRIED] if one != now]
+    tried = [one for one in _by_rows(task, motion, family) if one != now]
+    if not tried:
+        return task, fitted
     here, *others = _on_gram(task, fitted, family, [now, *tried])
-    likelier = [one for one in others if one.score >= here.fitted + BETTER]
-    for node in sorted(likelier, key=lambda one: -one.score)[:SETTLED]:  # what is far from the fit may mislead
+    least = BETTER + (here.score if here.score < here.fitted + MISLEADS else here.fitted)
+    peaks = [one for one in _peaks(tried, others) if one.score >= least]
+    for node in sorted(peaks, key=lambda one: -one.score)[:PEAKS]:
         try:
             other = settle(*_at(motion, task, fitted, node))
         except np.linalg.LinAlgError:
@@ -209,13 +183,23 @@ def _elsewhere(motion: Motion, task: Task, fitted: Fitted, family: Sequence[int]
     return task, fitted
 
 
+def _peaks(tried: Sequence[Mapping[str, float]], nodes: Sequence[_Node]) -> list[_Node]:
+    """Nodes that are likelier than those beside them, of one constant; of several the likeliest."""
+    if len(tried[0]) > 1:
+        return [max(nodes, key=lambda one: one.score)]
+    order = sorted(range(len(nodes)), key=lambda k: next(iter(tried[k].values())))
+    scores = np.concatenate([[-np.inf], [nodes[k].score for k in order], [-np.inf]])
+    top = (scores[1:-1] >= scores[:-2]) & (scores[1:-1] >= scores[2:])
+    return [nodes[k] for k, one in zip(order, top, strict=True) if one]
+
+
 def _instead(motion: Motion, task: Task, fitted: Fitted, active: int, j: int) -> tuple[Task, Fitted]:
     """A fit with another member of an either-or in place of the active one."""
     odds = task.log_odds.reshape(task.layout.chains, -1).copy()
     odds[:, j], odds[:, active] = odds[:, active], -np.inf
     task = replace(task, log_odds=odds.ravel(), recent=[])
     family = next((own for own in families(task.layout.terms) if j in own), [j])
-    tried = _on_gram(task, fitted, family, _by_rows(task, motion, family)[:TRIED])
+    tried = _on_gram(task, fitted, family, _by_rows(task, motion, family))
     return settle(*_at(motion, task, fitted, max(tried, key=lambda one: one.score)))
 
 
@@ -504,16 +488,13 @@ def _costs(task: Task, fitted: Fitted) -> dict[int, float]:
 
 
 def _by_rows(task: Task, motion: Motion, family: Sequence[int]) -> list[dict[str, float]]:
-    """Values of a family's constants, those first that explain most of the smoothed rows.
+    """Values of a family's constants that explain most of the smoothed rows, beside the other terms and without them.
 
-    Beside the other terms and without them in turn: those may stand for a function that one term is.
+    Those may stand for a function that one term is.
     """
     terms, allowed = task.layout.terms, _allowed(task)
-    beside, alone = (_ranked(terms, motion, allowed, family, others)[0] for others in (True, False))
-    out: list[dict[str, float]] = []
-    for pair in zip(beside, alone, strict=True):
-        out += [one for one in pair if one not in out]
-    return out
+    beside, alone = (_ranked(terms, motion, allowed, family, others)[0][:TRIED] for others in (True, False))
+    return beside + [one for one in alone if one not in beside]
 
 
 def _ranked(

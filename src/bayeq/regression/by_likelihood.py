@@ -9,11 +9,11 @@ from typing import ClassVar
 import numpy as np
 
 from bayeq.arrays import Floats
+from bayeq.dictionary.ranges import ConstantEstimate, Forms
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.adequacy import Discrepancy, Octave
 from bayeq.likelihood.projection import projected
 from bayeq.likelihood.record_fit import RecordFit
-from bayeq.likelihood.unknowns import ConstantEstimate, Forms
 from bayeq.numerics.normal import Shape
 from bayeq.regression.design import Design
 from bayeq.regression.regression import Regression, judged_by

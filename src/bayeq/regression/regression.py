@@ -11,12 +11,12 @@ import numpy as np
 
 from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
+from bayeq.dictionary.ranges import ConstantEstimate, Forms
 from bayeq.expressions import Expression
 from bayeq.gram import Gram
 from bayeq.gram.gram import grams_from_blocks
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.adequacy import Discrepancy, Octave
-from bayeq.likelihood.unknowns import ConstantEstimate, Forms
 from bayeq.numerics.normal import Shape
 from bayeq.regression.design import Design
 from bayeq.regression.residuals import Fit, Residuals, inspect_residuals
