@@ -162,8 +162,7 @@ class Question:
         constrained = _constrained(known, design, self.method)
 
         step("likelihood", 0, 1)
-        record, tied, refused = self._record(design, constrained, known, log)
-        known = tuple(one for one in known if one not in refused)
+        record, tied, known = self._record(design, constrained, known, log)
         if (tied or any(one.stated for one in constrained)) and (record is None or whole is not None):
             raise InputError(
                 "constraints: ~, ties between equations and conserved sums are taken by the likelihood of the record in"
@@ -259,8 +258,8 @@ class Question:
 
     def _record(
         self, design: Design, constrained: Sequence[Constraints], known: Sequence[str], log: WarningLog
-    ) -> tuple[RecordFit | None, bool, list[str]]:
-        """The likelihood of the records, whether ties between equations were asked for, and those that are not kept.
+    ) -> tuple[RecordFit | None, bool, tuple[str, ...]]:
+        """The likelihood of the records, whether ties between equations were asked for, and what is known that holds.
 
         It is compared with that without them, which is taken where the record contradicts them.
         """
@@ -268,21 +267,21 @@ class Question:
         asked = partial(self._likelihood, design, constraints=constrained, others=other_starts(design))
         if self.conserved:
             warn_of_changes(self.conserve, self.conserved, design.motion, log)
-            return asked(conserved=self.conserved), True, []
+            return asked(conserved=self.conserved), True, tuple(known)
         free = asked()
         if not ties or free is None:
-            return free, bool(ties), []
+            return free, bool(ties), tuple(known)
         record = asked(ties=[Stated(parts, value, 0.0) for _, parts, value in ties])
         lost = math.inf if record is None else free.of_motion - record.of_motion
         if lost < CONTRADICTED:
-            return record, True, []
+            return record, True, tuple(known)
         refused = [text for text, _, _ in ties]
         log.warn(
             f"the record contradicts {'; '.join(refused)} (odds {odds_text(-lost)}): shown without;"
             " check factors, signs and units",
             DataWarning,
         )
-        return free, True, refused
+        return free, True, tuple(one for one in known if one not in refused)
 
     def _by_record(self, records: Sequence[Record], whole: Whole | None) -> tuple[Question, list[Record]]:
         """The question with a candidate difference of each coefficient that may differ, and numbered records."""

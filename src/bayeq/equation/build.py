@@ -100,7 +100,6 @@ def build_equation(selection: Selection, window: tuple[float, str] | None) -> Eq
     variance, whole = gram.yty / gram.n, regression.rows.select([]) + gram.select([]) if by_rest else gram
     noise, share = noise_share(regression, variance), variance / (whole.yty / whole.n) if whole.yty > 0.0 else 1.0
     residuals = regression.residuals(shown, (*motion.roles.inputs, *motion.roles.states))
-    shape = {} if regression.shape is None else regression.shape._asdict()
     # of a term that equalities tie to others, the rule that decided on these
     differ = {
         term.text: selection.why.get(term.text) or next(iter(selection.why.values()))
@@ -121,7 +120,7 @@ def build_equation(selection: Selection, window: tuple[float, str] | None) -> Eq
         shown_posterior=shown,
         train=train,
         held_out=held_out,
-        residuals=replace(residuals, discrepancy=regression.discrepancy, **shape),
+        residuals=replace(residuals, discrepancy=regression.discrepancy),
         verdict=verdict,
         runners_up=_runners_up(fit, selection.shown) if ENGINES[posterior.method].spike_slab else (),
         fit=fit,
@@ -164,10 +163,12 @@ def with_doubts(
     """
     design = selections[0].fit.regression.design
     again = repeating(design.motion, design.terms)
-    return tuple(
-        replace(equation, verdict=_doubted(equation, selection, tolerance, again))
-        for equation, selection in zip(equations, selections, strict=True)
-    )
+    found = []
+    for equation, selection in zip(equations, selections, strict=True):
+        verdict, shape = _doubted(equation, selection, tolerance, again), selection.shown_fit.regression.shape
+        residuals = equation.residuals if shape is None else replace(equation.residuals, **shape._asdict())
+        found.append(replace(equation, verdict=verdict, residuals=residuals))
+    return tuple(found)
 
 
 def _doubted(equation: Equation, selection: Selection, tolerance: float, again: Repeating | None) -> Verdict:

@@ -241,6 +241,7 @@ class Soft:
     constants: Sequence[Freed] = ()
     likeliest: dict[Sizes, float] = field(default_factory=dict)
     sets: dict[Sizes, ModelSet] = field(default_factory=dict)
+    costs: dict[bytes, float] = field(default_factory=dict)
 
     @classmethod
     def of(cls, task: Task, fitted: Fitted) -> Soft:
@@ -336,13 +337,21 @@ class Soft:
         has = wide[:, self.task.number(Candidates(*np.array([one.of for one in self.constants]).T))]
         values = np.empty(len(found.models))
         for pattern in np.unique(has, axis=0):
-            inside = [one for one, held in zip(self.constants, pattern, strict=True) if held]
             rows = (has == pattern).all(axis=1)
-            lost = self._scores((0.0,) * len(tau), self.fitted.model[None], []) - self._scores(
-                (0.0,) * len(tau), self.fitted.model[None], inside
-            )
-            values[rows] = self._scores(tau, wide[rows], inside) + lost
+            values[rows] = self._scores(tau, wide[rows], self._inside(pattern)) + self._lost(pattern)
         return _sorted(found, found.models, values)
+
+    def _inside(self, pattern: Bools) -> list[Freed]:
+        return [one for one, held in zip(self.constants, pattern, strict=True) if held]
+
+    def _lost(self, pattern: Bools) -> float:
+        """What the fit's model loses to the ranges of some constants, where laws are exact."""
+        key = pattern.tobytes()
+        if key not in self.costs:
+            exact, own = (0.0,) * len(self.spreads), self.fitted.model[None]
+            given, free = (self._scores(exact, own, some)[0] for some in ([], self._inside(pattern)))
+            self.costs[key] = float(given - free)
+        return self.costs[key]
 
     def _scores(self, tau: Sizes, wide: Bools, constants: Sequence[Freed]) -> Floats:
         """ln p(data, model | sizes) of some models, some constants integrated out."""
