@@ -104,6 +104,17 @@ def _law(equation: Equation, found: PhysicalParameters, inputs: Sequence[str]) -
     yield from _quantities([q for q in found if q.symbol not in DERIVED])
 
 
+def tabled_parameters(found: PhysicalParameters) -> list[tuple[str, str, str, str, str]]:
+    """Symbol, value, interval, unit and meaning of physical parameters, but for those that follow from others."""
+    told = [(q.symbol, q.cells, q.meaning) for q in found if q.symbol not in DERIVED]
+    return [(symbol, mean, ends, unit, why) for symbol, (mean, _, ends, unit), why in told]
+
+
+def law_in_symbols(eq: Answer, found: PhysicalParameters) -> str | None:
+    """The law of a single equation in physical parameters, where it can be written so."""
+    return in_symbols(eq.equations[0], found, eq.inputs) if len(eq.equations) == 1 else None
+
+
 def in_symbols(equation: Equation, found: PhysicalParameters, inputs: Sequence[str]) -> str | None:
     """``m*a + c*v + k*x = u``; None where terms or a constant have no place in it."""
     symbols = {q.symbol for q in found}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from bayeq.equation.answer import Answer
-from bayeq.equation.brief import DERIVED, checks, in_symbols, sentence
+from bayeq.equation.brief import checks, law_in_symbols, sentence, tabled_parameters
 from bayeq.equation.equation import Equation
 from bayeq.equation.oscillator import own_parameters
 from bayeq.equation.rows import Row, rows_of
@@ -73,10 +73,8 @@ def as_html(eq: Answer) -> str:
         parts += [code(equation.text), table(header[:width], [row[:width] for row in terms])]
     physical = own_parameters(eq)
     if physical is not None:
-        law = in_symbols(eq.equations[0], physical, eq.inputs) if len(eq.equations) == 1 else None
-        cells = [(q.symbol, q.cells, q.meaning) for q in physical if q.symbol not in DERIVED]
-        rows = [(symbol, mean, ends, unit, why) for symbol, (mean, _, ends, unit), why in cells]
-        parts += [*([] if law is None else [code(law)]), table(PARAMETERS, rows, (0, 4))]
+        law = law_in_symbols(eq, physical)
+        parts += [*([] if law is None else [code(law)]), table(PARAMETERS, tabled_parameters(physical), (0, 4))]
     return join(*parts, paragraph(checks(eq)), items([f"warning: {message}" for message in eq.warnings]))
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from bayeq.equation.answer import Answer
-from bayeq.equation.brief import DERIVED, checks, failed, in_symbols, sentence, what_to_try
+from bayeq.equation.brief import checks, failed, law_in_symbols, sentence, tabled_parameters, what_to_try
 from bayeq.equation.equation import Equation
 from bayeq.equation.explain import explanation
 from bayeq.equation.oscillator import own_parameters
@@ -107,11 +107,9 @@ def _physical(eq: Answer) -> dict[str, Any] | None:
     found = own_parameters(eq)
     if found is None:
         return None
-    kept = [q for q in found if q.symbol not in DERIVED]
-    cells = [(q.symbol, *q.cells, q.meaning) for q in kept]
-    rows = [(name, _typeset(mean), _typeset(ends), unit_text(unit), why) for name, mean, _, ends, unit, why in cells]
-    law = in_symbols(eq.equations[0], found, eq.inputs) if len(eq.equations) == 1 else None
-    return {"law": law, "rows": rows, "also": ", ".join(found.unexplained)}
+    cells = tabled_parameters(found)
+    rows = [(name, _typeset(mean), _typeset(ends), unit_text(unit), why) for name, mean, ends, unit, why in cells]
+    return {"law": law_in_symbols(eq, found), "rows": rows, "also": ", ".join(found.unexplained)}
 
 
 def _typeset(number: str) -> str:
