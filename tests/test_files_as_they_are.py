@@ -324,3 +324,20 @@ def test_an_error_that_is_not_known_is_no_run_that_blew_up(frame):
     lines = {line.split(",")[0].strip("| "): line for line in text.splitlines() if "free run" in line}
     assert "blew up" not in lines["x"]
     assert "blew up" in lines["v"]
+
+
+@pytest.mark.parametrize(
+    ("header", "cells", "step"),
+    [
+        ("Time [d]", [k / 1440.0 for k in range(30)], 60.0),
+        ("Timestamp", [round(46093.375 + k / 1440.0, 8) for k in range(30)], 60.0),  # Excel's days, 8 decimals
+        ("Timestamp", [round(46093.375 + k * 0.001, 3) for k in range(30)], 0.001),  # seconds since midnight
+        ("Time [s]", [(86399.9 + k * 0.01) % 86400.0 for k in range(30)], 0.01),  # over midnight
+    ],
+)
+def test_days_and_seconds_of_the_day_are_seconds(header, cells, step, tmp_path):
+    path = tmp_path / "logged.csv"
+    rows = [f"{cell!r},{0.1 * k * k:.3f}" for k, cell in enumerate(cells)]
+    path.write_text("\n".join([f"{header},x [m]", *rows]) + "\n")
+    time = bq.read(path).time
+    assert np.diff(time) == pytest.approx(step, rel=2e-3)

@@ -145,10 +145,11 @@ def in_seconds(time: Floats, unit: str | None, name: str) -> tuple[Floats, str |
             if unit in (None, own) and np.all((time > 1e9 * factor) & (time < 4e9 * factor)):
                 time, unit = time - time[0], own
                 break
-        step = float(np.median(np.diff(time)))
         dated = unit is None and any(word in name.casefold() for word in _DATE_WORDS)
-        if dated and abs(step - round(step, 5)) > 1e-3 * step and np.all((time > _DAYS[0]) & (time < _DAYS[1])):
-            time, unit = time - time[0], "d"
+        if dated and np.all((time > _DAYS[0]) & (time < _DAYS[1])):
+            step = float(np.median(np.diff(time)))
+            if abs(step - round(step, 5)) > 1e-3 * step:
+                time, unit = time - time[0], "d"
     if unit in (None, "s"):
         time = _beyond_midnight(time)
     if unit is None or unit not in SECONDS:
