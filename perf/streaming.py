@@ -80,7 +80,7 @@ def syrk_rate(workers: int) -> float:
 def measure(path: Path, smooth: str, workers: int) -> dict[str, object]:
     """One line: a whole `discover` of a file, and of that the passes over its rows."""
     from bayeq.discovery import discover
-    from bayeq.streaming import units as summing
+    from bayeq.streaming import work as summing
 
     spent: dict[str, float] = {}
     whole = summing.fold

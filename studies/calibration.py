@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.cli.progress import Progress
+from bayeq.cli.terminal import Progress
 from bayeq.dictionary import Variables, build_dictionary, evaluate_terms
 from bayeq.equation.equation import Z95
 from bayeq.gram import Gram
@@ -31,7 +31,7 @@ from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.gibbs import spike_slab_gibbs
 from bayeq.inference.posterior import Draws, Posterior
 from bayeq.inference.prior import Prior
-from bayeq.inference.settings import INFERENCE
+from bayeq.numerics.settings import INFERENCE
 from bayeq.systems import simulate
 from studies.tally import (
     BINS,

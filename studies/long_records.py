@@ -20,8 +20,7 @@ import numpy as np
 import bayeq as bq
 from bayeq.discovery import entry
 from bayeq.equation.equations import Equations
-from bayeq.likelihood.settings import LIKELIHOOD
-from bayeq.numerics.settings import overridden
+from bayeq.numerics.settings import LIKELIHOOD, overridden
 
 SYSTEMS = ("linear", "duffing", "quadratic", "coulomb")
 SEED = 100_000

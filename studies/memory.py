@@ -18,8 +18,7 @@ import numpy as np
 import bayeq as bq
 from bayeq.discovery import discover
 from bayeq.equation.equations import Equations
-from bayeq.likelihood.settings import LIKELIHOOD
-from bayeq.numerics.settings import overridden
+from bayeq.numerics.settings import LIKELIHOOD, overridden
 from studies import numbers_records as kinds
 from studies.adverse import judged_with_verdict
 from studies.judge import timed

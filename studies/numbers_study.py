@@ -25,7 +25,7 @@ from bayeq.discovery import discover
 from bayeq.equation.equation import Equation
 from bayeq.equation.equations import Equations
 from bayeq.errors import InputError
-from bayeq.numerics.normal import Z95
+from bayeq.numerics.distributions import Z95
 from studies import numbers_records as kinds
 from studies.adverse import judged_with_verdict
 from studies.judge import CONSTANT, timed, verdicts

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.cli.progress import Progress
+from bayeq.cli.terminal import Progress
 from bayeq.dictionary import Variables, build_dictionary, evaluate_terms
 from bayeq.figures.style import BLACK, BLUE, ORANGE, new_panels, save, style
 from bayeq.gram import Gram

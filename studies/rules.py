@@ -13,17 +13,19 @@ from dataclasses import Field, fields
 from pathlib import Path
 from typing import Any
 
-from bayeq.equation.settings import EQUATION
-from bayeq.forecast.settings import FORECAST
-from bayeq.inference.settings import INFERENCE
-from bayeq.likelihood.settings import LIKELIHOOD
-from bayeq.plan.settings import PLAN
-from bayeq.records.settings import RECORDS
-from bayeq.refine.settings import REFINE
-from bayeq.regression.settings import REGRESSION
-from bayeq.selection.settings import SELECTION
-from bayeq.states.settings import STATES
-from bayeq.streaming.settings import STREAMING
+from bayeq.numerics.settings import (
+    EQUATION,
+    FORECAST,
+    INFERENCE,
+    LIKELIHOOD,
+    PLAN,
+    RECORDS,
+    REFINE,
+    REGRESSION,
+    SELECTION,
+    STATES,
+    STREAMING,
+)
 
 __all__ = ["PAGE", "STAGES", "moves", "page", "sensitivity"]
 

@@ -51,7 +51,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 @pytest.fixture(autouse=True)
 def _patient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Commands of tests say nothing of progress, however slow the machine, but where a test asks for it."""
-    monkeypatch.setattr("bayeq.cli.progress.PATIENCE", 600.0)
+    monkeypatch.setattr("bayeq.cli.terminal.PATIENCE", 600.0)
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from bayeq.dictionary import Variables, build_dictionary, evaluate_terms
 from bayeq.inference.rvm import rvm
 from bayeq.inference.vb import spike_slab_vb
 from bayeq.study.config import STUDY_SYSTEMS, StudyConfig
-from bayeq.study.realise import draw
+from bayeq.study.runner import draw
 from tests import reference
 
 

@@ -16,7 +16,7 @@ from bayeq.equation.brief import brief
 from bayeq.equation.verdict import KINDS, Verdict, doubted, worst
 from bayeq.likelihood.adequacy import Adequacy, Discrepancy, Octave, chance_of, octaves_of, turn_of
 from bayeq.likelihood.low_pass import feedback, mean_spectrum, spectrum_of, step_variance
-from bayeq.numerics.beta import incomplete_beta
+from bayeq.numerics.distributions import incomplete_beta
 from bayeq.selection.alternatives import Alternatives, alternatives_to
 from bayeq.selection.excitation import Repeating
 from bayeq.states import Roles

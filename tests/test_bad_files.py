@@ -15,7 +15,7 @@ import pytest
 
 from bayeq.errors import FileFormatError, InputError
 from bayeq.records import read
-from bayeq.records.formats import limits
+from bayeq.records.formats import protocol
 
 MEMORY = 300 * 2**20
 
@@ -300,11 +300,11 @@ def test_lvm_of_several_segments_and_cut_off(tmp_path):
 
 
 def test_claims():
-    limits.check_claim("f", "it", 64 * 2**20, 1)
+    protocol.check_claim("f", "it", 64 * 2**20, 1)
     with pytest.raises(FileFormatError, match="claims 64 MiB in a file of 1 bytes"):
-        limits.check_claim("f", "it", 64 * 2**20 + 1, 1)
+        protocol.check_claim("f", "it", 64 * 2**20 + 1, 1)
     with pytest.raises(FileFormatError, match="takes 4 GiB; at most 4 GiB"):
-        limits.check_claim("f", "it", 4 * 2**30 + 1, 2**40)
+        protocol.check_claim("f", "it", 4 * 2**30 + 1, 2**40)
 
 
 def test_no_file_is_executed(tmp_path):

@@ -10,10 +10,10 @@ import pytest
 
 import bayeq as bq
 from bayeq.errors import DataWarning, RecordError
+from bayeq.numerics.settings import STATES
 from bayeq.states import Roles
 from bayeq.states.bad_samples import find_bad_samples, without_bad_samples
 from bayeq.states.prepare import missing_messages, without_empty_rows
-from bayeq.states.settings import STATES
 
 OSCILLATOR = Roles.parse("x:v:a", None, None, None, None, ["u"])
 

@@ -7,8 +7,8 @@ import pytest
 
 import bayeq as bq
 from bayeq.cli.app import main
-from bayeq.cli.progress import COMPILING, PROGRESS
-from bayeq.states.believed import without_hum
+from bayeq.cli.terminal import COMPILING, PROGRESS
+from bayeq.states.prepare import without_hum
 
 pytestmark = pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
 

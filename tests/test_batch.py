@@ -16,10 +16,10 @@ import pandas as pd
 import pytest
 
 import bayeq as bq
-from bayeq.batches.options import Identity, digest, files_of
+from bayeq.batches.result import Identity, digest, files_of
 from bayeq.cli.app import main
 from bayeq.errors import FileFormatError, InputError, UnknownNameError
-from bayeq.figures.drift import draw_drift
+from bayeq.figures.terms import draw_drift
 
 OPTIONS = {
     "displacement": "x",

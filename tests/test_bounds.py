@@ -19,7 +19,7 @@ from bayeq.gram import Gram
 from bayeq.inference.bma import sample_average, spike_slab_bma
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.prior import Prior, half_lines
-from bayeq.inference.signs.orthant import Orthants, truncated
+from bayeq.inference.signs import Orthants, truncated
 from bayeq.regression.constraints import parse_constraints
 from tests import reference
 from tests.draws import draws

@@ -26,10 +26,9 @@ from studies.tally import (
 
 from bayeq.figures.style import style
 from bayeq.inference.posterior import Draws
-from bayeq.inference.settings import INFERENCE
-from bayeq.numerics.settings import overridden
+from bayeq.numerics.settings import INFERENCE, overridden
 from bayeq.study.config import STUDY_SYSTEMS, StudyConfig
-from bayeq.study.realise import draw
+from bayeq.study.runner import draw
 
 
 def toy_ranks(spread, problems=4000):

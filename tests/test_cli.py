@@ -16,7 +16,7 @@ import pytest
 
 import bayeq as bq
 from bayeq.cli.app import main
-from bayeq.cli.progress import COMPILING, PROGRESS
+from bayeq.cli.terminal import COMPILING, PROGRESS
 from tests.uncovered import uncovered
 
 

@@ -16,7 +16,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from bayeq.cli.app import main
-from bayeq.cli.progress import COMPILING, PROGRESS
+from bayeq.cli.terminal import COMPILING, PROGRESS
 from tests.draws import draws
 
 HEADER = ("t", "x", "v", "a", "u", "note")

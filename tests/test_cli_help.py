@@ -11,10 +11,10 @@ import time
 import pytest
 
 import bayeq as bq
-from bayeq.cli import progress as progress_module
+from bayeq.cli import terminal
 from bayeq.cli.app import app, main
-from bayeq.cli.progress import PROGRESS, STAGES, Progress
-from bayeq.equation.rows import short_names, with_names
+from bayeq.cli.terminal import PROGRESS, STAGES, Progress
+from bayeq.equation.text import short_names, with_names
 
 pytestmark = pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
 
@@ -109,8 +109,8 @@ def test_short_work_says_nothing(capsys):
 
 
 def test_long_work_says_a_line_per_stage(capsys, monkeypatch):
-    monkeypatch.setattr(progress_module, "PATIENCE", 0.05)
-    monkeypatch.setattr(progress_module, "INTERVAL", 0.3)
+    monkeypatch.setattr(terminal, "PATIENCE", 0.05)
+    monkeypatch.setattr(terminal, "INTERVAL", 0.3)
     with Progress() as progress:
         progress("likelihood", 0, 3)
         time.sleep(0.2)
@@ -130,7 +130,7 @@ def test_long_work_says_a_line_per_stage(capsys, monkeypatch):
 
 
 def test_nothing_is_said_after_the_end(capsys, monkeypatch):
-    monkeypatch.setattr(progress_module, "PATIENCE", 0.02)
+    monkeypatch.setattr(terminal, "PATIENCE", 0.02)
     progress = Progress()
     progress("inference", 0, 1)
     progress.close()
@@ -140,7 +140,7 @@ def test_nothing_is_said_after_the_end(capsys, monkeypatch):
 
 
 def test_refine_shows_progress_in_a_pipe(record, capsys, monkeypatch):
-    monkeypatch.setattr(progress_module, "PATIENCE", 0.01)
+    monkeypatch.setattr(terminal, "PATIENCE", 0.01)
     assert main(["discover", str(record), *OSCILLATOR, "--refine"]) == 0
     out, err = capsys.readouterr()
     assert f"{PROGRESS}refining" in err

@@ -15,7 +15,7 @@ import pytest
 import bayeq as bq
 from bayeq import discovery
 from bayeq.cli.app import main
-from bayeq.cli.progress import COMPILING, PROGRESS
+from bayeq.cli.terminal import COMPILING, PROGRESS
 from tests.uncovered import WITHOUT_PYC, uncovered
 
 OSCILLATOR = ["--disp", "x", "--vel", "v", "--acc", "a", "--force", "u", "--dictionary", "x, v, x**3, u"]

@@ -11,7 +11,7 @@ import pytest
 
 import bayeq as bq
 from bayeq.cli.app import main
-from bayeq.cli.progress import COMPILING, PROGRESS
+from bayeq.cli.terminal import COMPILING, PROGRESS
 
 pytestmark = pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
 

@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 
 import bayeq as bq
 from bayeq.cli.app import main
-from bayeq.cli.progress import COMPILING, PROGRESS
 from bayeq.cli.reading import Reading
+from bayeq.cli.terminal import COMPILING, PROGRESS
 from bayeq.errors import InputError
-from bayeq.records.units import conversion, require_unit
+from bayeq.records.names import conversion, require_unit
 
 pytestmark = pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
 

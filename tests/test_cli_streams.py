@@ -69,11 +69,11 @@ def test_the_files_are_written_though_the_equation_cannot_be_printed(record, tmp
 
 
 def test_progress_says_rate_and_time_left(monkeypatch, capsys):
-    from bayeq.cli import progress
+    from bayeq.cli import terminal
 
     now = [100.0]
-    monkeypatch.setattr(progress.clock, "monotonic", lambda: now[0])
-    shown = progress.Progress()
+    monkeypatch.setattr(terminal.clock, "monotonic", lambda: now[0])
+    shown = terminal.Progress()
     shown.stage, shown.began, shown.first, shown.done, shown.total = "rows", 100.0, 1_000_000, 3_000_000, 5_000_000
     shown.said = -100.0
     now[0] = 110.0

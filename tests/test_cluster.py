@@ -25,10 +25,8 @@ from bayeq.expressions import parse
 from bayeq.records.stream import RecordStream, open_streams
 from bayeq.states import Roles
 from bayeq.streaming.cluster import Cluster, connected
-from bayeq.streaming.units import Extent, Threads, fold, units_of
-from bayeq.streaming.work import AsMeasured
-from bayeq.study.runner import run_study
-from bayeq.study.store import Store
+from bayeq.streaming.work import AsMeasured, Extent, Threads, fold, units_of
+from bayeq.study.runner import Store, run_study
 
 dask = pytest.importorskip("dask", reason="needs the extra dask")
 distributed = pytest.importorskip("distributed", reason="needs the extra dask")
@@ -164,7 +162,7 @@ def test_long_lists_of_records_are_sent_and_short_ones_are_not(record, client, e
 
 @pytest.mark.slow
 def test_the_likelihood_of_all_rows_is_that_of_threads(path, client, monkeypatch):
-    monkeypatch.setattr("bayeq.streaming.units.ROWS_EACH", 300)
+    monkeypatch.setattr("bayeq.streaming.work.ROWS_EACH", 300)
     monkeypatch.setattr("bayeq.streaming.whole.BLOCK_ROWS", 3000)
     (stream,) = open_streams([path])
     rows = [Extent(stream, 0, 6001)]  # a unit of one row says nothing

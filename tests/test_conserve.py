@@ -16,7 +16,7 @@ from bayeq.errors import BayeqWarning, InputError, UnknownNameError
 from bayeq.gram import Gram
 from bayeq.inference.bma import spike_slab_bma
 from bayeq.inference.prior import Prior
-from bayeq.likelihood.flows import Flows
+from bayeq.likelihood.steps import Flows
 from bayeq.regression.constraints import parse_conserved
 from bayeq.states import Roles
 from tests.draws import draws

@@ -18,8 +18,7 @@ from bayeq.dictionary import Variables, build_dictionaries, build_dictionary
 from bayeq.dictionary.ranges import ConstantEstimate, families, grids, located
 from bayeq.equation.brief import brief
 from bayeq.equation.explain import explanation
-from bayeq.equation.units import constant_units
-from bayeq.equation.written import at_end
+from bayeq.equation.written import at_end, constant_units
 from bayeq.errors import DataWarning, ExpressionError, InputError
 from bayeq.expressions import Evaluator, Unknown, parse
 from bayeq.likelihood.spike import Soft

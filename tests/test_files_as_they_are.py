@@ -269,7 +269,7 @@ def test_limits_of_constraints_and_dictionaries(frame, tmp_path, capsys):
 
 def test_a_unit_in_two_brackets(tmp_path):
     (tmp_path / "run.csv").write_text("t,x [(1)],v [(m/s)]\n0,1,2\n1,2,3\n", encoding="utf-8")
-    from bayeq.records.units import parse_unit
+    from bayeq.records.names import parse_unit
 
     units = bq.read(tmp_path / "run.csv").units
     assert parse_unit(units["x"]) == {}

@@ -17,9 +17,8 @@ from bayeq.expressions import Evaluator, Expression, number, parse
 from bayeq.likelihood import search
 from bayeq.likelihood.blur import blur_of
 from bayeq.likelihood.layout import Layout, Series
-from bayeq.likelihood.settings import LIKELIHOOD
 from bayeq.likelihood.signs import half_of_jump, jumps_of, mean_of_jumps, unresolved_share
-from bayeq.numerics.settings import overridden
+from bayeq.numerics.settings import LIKELIHOOD, overridden
 from bayeq.states import Roles
 from bayeq.systems import get_system
 

@@ -17,12 +17,11 @@ from bayeq.equation.intervals import unlike
 from bayeq.equation.text import MARK, OVER_MODELS
 from bayeq.gram import Gram
 from bayeq.inference.bma import sample_average, spike_slab_bma
-from bayeq.inference.collapsed.conditional import exact_posterior
 from bayeq.inference.collapsed.problem import Problem
-from bayeq.inference.mixture import Mixture
-from bayeq.inference.posterior import ModelAverage
+from bayeq.inference.collapsed.slab import exact_posterior
+from bayeq.inference.posterior import Mixture, ModelAverage
 from bayeq.inference.prior import Prior
-from bayeq.regression.mixture import mixture_of
+from bayeq.regression.fit import mixture_of
 from tests import reference
 
 pytestmark = pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")

@@ -14,10 +14,8 @@ import bayeq as bq
 from bayeq.errors import DataWarning, InputError
 from bayeq.expressions import Evaluator, parse
 from bayeq.inference.posterior import Posterior
-from bayeq.plan.conditions import Measured, conditions_of
-from bayeq.plan.excitations import EXCITATIONS
-from bayeq.plan.information import coefficient_gain, seconds_to_halve, seconds_until, unexplained
-from bayeq.plan.models import CandidateModel
+from bayeq.plan.designs import EXCITATIONS, Measured, conditions_of
+from bayeq.plan.information import CandidateModel, coefficient_gain, seconds_to_halve, seconds_until, unexplained
 from bayeq.plan.plan import plan_excitation
 from bayeq.states import Chain, parse_chain
 from tests.draws import draws

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import bayeq as bq
+from bayeq.likelihood.adequacy import _scores, excess_of
 from bayeq.likelihood.fit import marginal
-from bayeq.likelihood.power import _scores, excess_of
-from bayeq.likelihood.settings import LIKELIHOOD
+from bayeq.numerics.settings import LIKELIHOOD
 from tests.statistical.limits import fewest
 
 

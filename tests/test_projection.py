@@ -10,7 +10,7 @@ from scipy import stats
 
 import bayeq as bq
 from bayeq.likelihood.projection import leftover, projected
-from bayeq.numerics.normal import t95
+from bayeq.numerics.distributions import t95
 
 
 def quietly(*arguments, **options):

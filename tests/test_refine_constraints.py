@@ -17,7 +17,7 @@ import bayeq as bq
 from bayeq.cli.app import main
 from bayeq.errors import BayeqWarning, DataWarning, FileFormatError, InputError
 from bayeq.inference.prior import Prior, half_lines
-from bayeq.inference.signs.orthant import truncated
+from bayeq.inference.signs import truncated
 from bayeq.refine.output_error import Known, _bounded
 from bayeq.regression.constraints import parse_constraints
 from tests.draws import draws

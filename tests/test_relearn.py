@@ -36,7 +36,7 @@ def whole(record):
 
 def test_levels_and_corners_are_those_of_all_rows(record, whole, monkeypatch):
     monkeypatch.setattr("bayeq.discovery.entry.MOST_ROWS", 10_000)
-    monkeypatch.setattr("bayeq.streaming.units.ROWS_EACH", 150)
+    monkeypatch.setattr("bayeq.streaming.work.ROWS_EACH", 150)
     monkeypatch.setattr("bayeq.streaming.whole.BLOCK_ROWS", 4000)
     started = []
 

@@ -17,8 +17,7 @@ import pytest
 
 import bayeq as bq
 from bayeq.cli.app import main
-from bayeq.equation.report.page import repeat_command, samples_hash
-from bayeq.equation.report.pictures import as_bokeh
+from bayeq.equation.report.page import as_bokeh, repeat_command, samples_hash
 from bayeq.errors import InputError, MissingExtraError, UnknownNameError
 from bayeq.expressions import parse
 from bayeq.expressions.symbolic import mathml

@@ -18,8 +18,8 @@ from bayeq.equation.verdict import Verdict
 from bayeq.errors import BayeqError, FileFormatError
 from bayeq.forecast.score import Scores
 from bayeq.inference.engines import ENGINES
-from bayeq.plan.conditions import Measured
-from bayeq.plan.models import CandidateModel
+from bayeq.plan.designs import Measured
+from bayeq.plan.information import CandidateModel
 from bayeq.refine.refine import Refinement
 from bayeq.regression.design import DroppedTerm
 from bayeq.regression.residuals import Driver, Fit, Residuals

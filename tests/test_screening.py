@@ -9,8 +9,7 @@ import pytest
 
 import bayeq as bq
 from bayeq.dictionary import Variables, build_dictionary
-from bayeq.likelihood.settings import LIKELIHOOD
-from bayeq.numerics.settings import overridden
+from bayeq.numerics.settings import LIKELIHOOD, overridden
 from bayeq.regression.design import explaining, screened
 from bayeq.states import Roles, estimate_motion
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from studies.sensitivity import Answer, Compared, Used, differences, moved
 
-from bayeq.numerics.settings import overridden
-from bayeq.selection.settings import SELECTION
+from bayeq.numerics.settings import SELECTION, overridden
 
 
 def test_other_values_go_after_an_error_too():

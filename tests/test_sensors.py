@@ -11,8 +11,8 @@ import pytest
 import bayeq as bq
 from bayeq.cli.app import main
 from bayeq.errors import DataWarning, InputError, UnknownNameError
-from bayeq.inference.collapsed.conditional import exact_posterior
-from bayeq.regression.channel_errors import changes_by_noise
+from bayeq.inference.collapsed.slab import exact_posterior
+from bayeq.regression.by_likelihood import changes_by_noise
 from bayeq.states import parse_chain
 from bayeq.states.sensors import scaled_with
 

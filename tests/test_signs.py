@@ -16,9 +16,8 @@ from bayeq.inference.bma import sample_average, spike_slab_bma
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.prior import SIGNED, Prior
-from bayeq.inference.settings import INFERENCE
-from bayeq.inference.signs.orthant import Orthants
-from bayeq.numerics.settings import overridden
+from bayeq.inference.signs import Orthants
+from bayeq.numerics.settings import INFERENCE, overridden
 from tests import reference
 
 # ------------------------------------------------------------------------------------------------------------ orthants

@@ -18,7 +18,7 @@ from bayeq.cli.app import main
 from bayeq.cli.options import named_channels
 from bayeq.errors import FileFormatError, InputError, RecordError, UnknownNameError
 from bayeq.records import FORMATS, Record, as_record, as_records, join, read
-from bayeq.records.formats import limits
+from bayeq.records.formats import protocol
 from tests.data import measured
 from tests.draws import draws
 
@@ -427,9 +427,9 @@ def test_the_page_lists_every_format() -> None:
         suffixes = " ".join(f"`{suffix}`" for suffix in row.suffixes)
         extra = f"`{row.extra}`" if row.extra else ""
         assert f"| {row.title} | {suffixes} | {'yes' if row.writer else 'no'} | {extra} | {row.keeps} |\n" in page
-    assert f"{limits.MOST_COLUMNS:,} columns" in page
-    assert f"more than {limits.MOST_RATIO} times" in page
-    assert f"{limits.MOST_BYTES // 2**30} GiB" in page
+    assert f"{protocol.MOST_COLUMNS:,} columns" in page
+    assert f"more than {protocol.MOST_RATIO} times" in page
+    assert f"{protocol.MOST_BYTES // 2**30} GiB" in page
 
 
 def test_the_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,8 +7,8 @@ from studies.nearly_true import draw_record
 
 import bayeq as bq
 from bayeq.likelihood.fit import Quadratic
-from bayeq.likelihood.settings import LIKELIHOOD
 from bayeq.likelihood.spike import Soft, isotropic, root_of, softened
+from bayeq.numerics.settings import LIKELIHOOD
 
 
 def test_deviations_are_integrated_out():

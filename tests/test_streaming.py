@@ -21,8 +21,7 @@ from bayeq.gram.gram import from_moments, grams_from_data
 from bayeq.records.stream import RecordStream, open_streams, units_between
 from bayeq.regression.residuals import inspect_residuals
 from bayeq.streaming.checkpoint import Checkpoint
-from bayeq.streaming.units import Extent, Threads, fold, stretches, units_of
-from bayeq.streaming.work import LAGS, Folded, Lagged, OfRows, fold_columns
+from bayeq.streaming.work import LAGS, Extent, Folded, Lagged, OfRows, Threads, fold, fold_columns, stretches, units_of
 from tests.draws import draws
 
 OSCILLATOR = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u"}
@@ -42,7 +41,7 @@ def divide(patch, rows_each):
     for module in ("parquet", "text"):
         patch.setattr(f"bayeq.records.formats.{module}.UNIT_ROWS", 7000)
     patch.setattr("bayeq.records.formats.protocol.grid.__defaults__", (7000,))
-    patch.setattr("bayeq.streaming.units.ROWS_EACH", rows_each)
+    patch.setattr("bayeq.streaming.work.ROWS_EACH", rows_each)
 
 
 @pytest.fixture(autouse=True)
@@ -271,7 +270,7 @@ def test_the_likelihood_of_all_rows_is_that_in_memory(record, streamed):
 
 
 def test_bad_samples_outside_of_the_stretches_are_counted(record, streamed, tmp_path, monkeypatch):
-    monkeypatch.setattr("bayeq.streaming.units.ROWS_EACH", 150)
+    monkeypatch.setattr("bayeq.streaming.work.ROWS_EACH", 150)
     record = record.take(slice(0, 14_000))
     x, u = np.array(record["x"]), np.array(record["u"])
     # 20 stretches of 150 rows begin every 728.9 rows
@@ -303,7 +302,7 @@ def test_any_number_of_threads_gives_the_same_bytes(record):
 
 
 def test_stretches_are_spread_over_all_rows(record, monkeypatch):
-    monkeypatch.setattr("bayeq.streaming.units.ROWS_EACH", 2500)
+    monkeypatch.setattr("bayeq.streaming.work.ROWS_EACH", 2500)
     found = stretches([Extent(RecordStream(record), 0, 60_000), Extent(RecordStream(record), 0, 2000)])
     assert sum(one.n for one in found) <= 55_000
     assert found[0].time[0] == record.time[0]
@@ -473,7 +472,7 @@ def test_an_interrupted_command_says_where_its_sums_are_and_goes_on_to_the_same_
     """Without a folder that was asked for, nothing is kept of a short run, and nothing said."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr("bayeq.cli.progress.PATIENCE", 100.0)
+    monkeypatch.setattr("bayeq.cli.terminal.PATIENCE", 100.0)
     path = written(record, tmp_path / "r.csv")
     channels = ["--disp", "x", "--vel", "v", "--acc", "a", "--force", "u"]
     command = ["discover", path.name, *channels, "--smooth", "none", "--stream"]
@@ -556,7 +555,7 @@ def test_data_in_memory_is_not_streamed(record):
 @pytest.mark.slow  # against the answer of all rows: test_relearn
 def test_long_records_in_memory_have_the_likelihood_too(record, monkeypatch):
     monkeypatch.setattr("bayeq.discovery.entry.MOST_ROWS", 10_000)
-    monkeypatch.setattr("bayeq.streaming.units.ROWS_EACH", 150)
+    monkeypatch.setattr("bayeq.streaming.work.ROWS_EACH", 150)
     record = record.take(slice(0, 14_000))
     found = quietly(record, dictionary="x, v, x**2, x**3, u")
     assert (found.data.stretches, found.data.n) == (20, record.n)
@@ -567,7 +566,7 @@ def test_long_records_in_memory_have_the_likelihood_too(record, monkeypatch):
 def test_long_records_with_what_takes_whole_records_are_some_stretches(record, where, tmp_path, monkeypatch):
     monkeypatch.setattr("bayeq.discovery.entry.MOST_ROWS", 10_000)
     monkeypatch.setattr("bayeq.records.stream.LARGE", 10_000)
-    monkeypatch.setattr("bayeq.streaming.units.ROWS_EACH", 150)
+    monkeypatch.setattr("bayeq.streaming.work.ROWS_EACH", 150)
     rows = record.take(slice(0, 14_000))
     asked = {"dictionary": "x, v, x**3, u, cos(3*t)"}
     found = quietly(rows if where == "in memory" else written(rows, tmp_path / "r.h5"), **asked)

@@ -22,11 +22,9 @@ from bayeq.cli.app import main
 from bayeq.cli.study import study as study_commands
 from bayeq.errors import FileFormatError, InputError, UnknownNameError
 from bayeq.resumable.store import Claims
-from bayeq.study import realise as realise_module
+from bayeq.study import runner
 from bayeq.study.config import StudyConfig
-from bayeq.study.realise import ALGORITHMS, Task, draw, realise
-from bayeq.study.runner import run_study
-from bayeq.study.store import Store
+from bayeq.study.runner import ALGORITHMS, Store, Task, draw, realise, run_study
 from bayeq.study.table import show
 
 FAST = ("rvm", "vb")
@@ -142,7 +140,7 @@ def test_a_realisation_that_cannot_be_drawn_fails_for_every_algorithm(monkeypatc
     def diverges(*arguments, **options):
         raise InputError("the simulation diverged")
 
-    monkeypatch.setattr(realise_module, "simulate", diverges)
+    monkeypatch.setattr(runner, "simulate", diverges)
     results = realise(StudyConfig(), Task("linear", 0, FAST))
     assert [r.failure for r in results] == ["InputError: the simulation diverged"] * 2
 

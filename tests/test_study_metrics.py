@@ -10,7 +10,7 @@ import pytest
 
 from bayeq.errors import InputError
 from bayeq.gram import Gram
-from bayeq.study.store import METRICS, Metrics, Result, measure, prediction_error
+from bayeq.study.runner import METRICS, Metrics, Result, measure, prediction_error
 from bayeq.study.table import LABELS, RUNTIMES, TABLE_2, aggregate, failure_messages, runtimes
 from tests.data import ROOT
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import bayeq as bq
-from bayeq.equation.units import quotient_unit
+from bayeq.equation.written import quotient_unit
 from bayeq.errors import InputError, RecordError
 from bayeq.expressions import parse
 

@@ -16,7 +16,7 @@ from bayeq.forecast.free_run import typical_period
 from bayeq.forecast.rows import Rows
 from bayeq.ode.rk4 import interpolant
 from bayeq.states import Roles, estimate_motion, parse_chain, rates, unit_gains
-from bayeq.states.unit_gains import _estimated
+from bayeq.states.sensors import _estimated
 
 G = 9.80665
 CHAIN = parse_chain("x:v:a")

@@ -24,7 +24,7 @@ _NAMES = {
     "estimators.regressors": "RVM STLSQ SpikeSlabBMA SpikeSlabGibbs SpikeSlabVB",
     "forecast.score": "Scores",
     "refine.refine": "Refinement",
-    "forecast.run": "Forecast",
+    "forecast.free_run": "Forecast",
     "gram": "Gram",
     "inference.posterior": "Posterior",
     "inspection.contents": "RecordInfo",
@@ -54,7 +54,7 @@ if TYPE_CHECKING:  # the same names for type checkers; a test compares the two l
     from bayeq.estimators.regressors import SpikeSlabGibbs as SpikeSlabGibbs, SpikeSlabVB as SpikeSlabVB
     from bayeq.forecast.score import Scores as Scores
     from bayeq.refine.refine import Refinement as Refinement
-    from bayeq.forecast.run import Forecast as Forecast
+    from bayeq.forecast.free_run import Forecast as Forecast
     from bayeq.gram import Gram as Gram
     from bayeq.inference.posterior import Posterior as Posterior
     from bayeq.inference.prior import Prior as Prior

@@ -21,7 +21,7 @@ import numpy as np
 from bayeq.dictionary import Variables, build_dictionaries
 from bayeq.dictionary.ranges import families, grids, located
 from bayeq.equation.load import load
-from bayeq.equation.units import constant_units
+from bayeq.equation.written import constant_units
 from bayeq.errors import BayeqError
 from bayeq.expressions import Evaluator, parse
 from bayeq.records import Record, read, write

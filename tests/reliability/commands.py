@@ -11,7 +11,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from bayeq.cli.progress import COMPILING, PROGRESS
+from bayeq.cli.terminal import COMPILING, PROGRESS
 from tests.uncovered import uncovered
 
 __all__ = ["QUICK", "bayeq", "environment", "heeding", "mounted", "remarks", "start"]

@@ -9,7 +9,7 @@ from studies.channels import draw_record
 import bayeq as bq
 from bayeq.inference.bma import spike_slab_bma
 from bayeq.study.config import StudyConfig
-from bayeq.study.realise import draw
+from bayeq.study.runner import draw
 from tests.statistical.limits import assert_coverage, fewest
 
 pytestmark = pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")

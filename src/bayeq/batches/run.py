@@ -16,8 +16,7 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from bayeq.batches.options import Identity, Read, digest, files_of, fixed_terms, question
-from bayeq.batches.result import Batch, BatchFile
+from bayeq.batches.result import Batch, BatchFile, Identity, Read, digest, files_of, fixed_terms, question
 from bayeq.discovery.entry import discover
 from bayeq.equation.to_json import to_saved
 from bayeq.errors import (

@@ -19,11 +19,11 @@ from click.shell_completion import get_completion_class, shell_complete
 
 from bayeq.cli.batch import batch
 from bayeq.cli.discover import discover
-from bayeq.cli.environment import INTERRUPTED, no_memory, prepare_streams, say
 from bayeq.cli.options import FILE, Command, Names, json_option, measured, option
 from bayeq.cli.reading import Reading, file_options
 from bayeq.cli.saved import benchmark, plan, predict, show
 from bayeq.cli.study import study
+from bayeq.cli.terminal import INTERRUPTED, no_memory, prepare_streams, say
 from bayeq.errors import (
     FULL,
     BayeqError,

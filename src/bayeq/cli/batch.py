@@ -12,10 +12,8 @@ import click
 
 from bayeq.cli import options as opt
 from bayeq.cli.discover import cleaned, discover, source_of, used_channels
-from bayeq.cli.environment import say
-from bayeq.cli.outputs import Kind, require_output
-from bayeq.cli.progress import Progress
 from bayeq.cli.reading import STANDARD_INPUT, Reading
+from bayeq.cli.terminal import Kind, Progress, require_output, say
 from bayeq.errors import BayeqError, InputError, InterruptedRun
 
 if TYPE_CHECKING:
@@ -81,7 +79,7 @@ def batch(
     options = cleaned(options)
     if STANDARD_INPUT in files:
         raise InputError("-: a batch is of files, which it knows again; write standard input to one")
-    from bayeq.batches.options import files_of
+    from bayeq.batches.result import files_of
 
     given = files_of(files)
     written: tuple[tuple[Path | None, Kind], ...] = ((store, "any"), (table, "table"), (figure, "figure"))

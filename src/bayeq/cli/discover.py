@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bayeq.cli import options as opt
-from bayeq.cli.outputs import OUTPUTS, Outputs
-from bayeq.cli.progress import Progress
 from bayeq.cli.reading import STANDARD_INPUT, Reading, plain_files, reading_options
+from bayeq.cli.terminal import OUTPUTS, Outputs, Progress
 from bayeq.errors import InputError
 from bayeq.inference.engines import ENGINES
 
@@ -211,7 +210,7 @@ def discover(files: tuple[Path, ...], as_json: bool, verbose: bool, dask: str | 
     options, paths = opt.named_channels(options)
     outputs.check(plain_files(files), options, as_json)
     options = cleaned(options)
-    from bayeq.records.files import state_of
+    from bayeq.records.io import state_of
 
     if dask is not None:
         reading = reading.clustered()
@@ -244,7 +243,7 @@ def source_of(
         return records, records
     if refine:
         raise InputError("--refine runs over whole records: leave it out, or use some rows (--no-stream --rows A:B)")
-    from bayeq.streaming.units import of_channels, stretches
+    from bayeq.streaming.work import of_channels, stretches
 
     extents = of_channels(reading.extents(files, paths), used)
     return stretches(extents), extents

@@ -14,8 +14,7 @@ from typing import Any
 
 import click
 
-from bayeq.cli.environment import require_address_space, say
-from bayeq.cli.progress import COMPILING
+from bayeq.cli.terminal import COMPILING, require_address_space, say
 from bayeq.errors import InputError
 from bayeq.kernels import announce_compiling
 

@@ -10,7 +10,7 @@ import signal
 import sys
 from types import FrameType
 
-from bayeq.cli.environment import INTERRUPTED, say
+from bayeq.cli.terminal import INTERRUPTED, say
 from bayeq.posix import alarm, on_signal
 
 # Frames of an import have this file name.

@@ -21,7 +21,7 @@ from bayeq.errors import FileFormatError, InputError, UnknownNameError
 
 if TYPE_CHECKING:
     from bayeq.records import Record
-    from bayeq.streaming.units import Extent
+    from bayeq.streaming.work import Extent
 
 #: The argument that means standard input, and what messages call it.
 STANDARD_INPUT = Path("-")
@@ -132,7 +132,7 @@ class Reading:
         An InputError says which option takes whole records, which file cannot be read, or that rows are not there.
         """
         from bayeq.records.stream import open_streams
-        from bayeq.streaming.units import Extent
+        from bayeq.streaming.work import Extent
 
         given: dict[str, object] = {
             "--group": self.group, "--join": self.join, "--names": self.names, "--skip": self.skip,
@@ -230,7 +230,7 @@ class Reading:
 
 def _units(texts: Sequence[str], scales: Sequence[str]) -> dict[str, str]:
     """Units by channel, from ``x=mm,a=g``, and gains in front of them, from ``a=10``."""
-    from bayeq.records.units import gain_and_unit, require_unit
+    from bayeq.records.names import gain_and_unit, require_unit
 
     parts = (part for text in texts for part in text.split(","))
     out = opt.by_name("--units", parts, "write a channel and its unit, such as x=mm")

@@ -15,9 +15,8 @@ from typing import Any
 import click
 
 from bayeq.cli import options as opt
-from bayeq.cli.outputs import require_output
-from bayeq.cli.progress import Progress
 from bayeq.cli.reading import Reading, plain_files, reading_options
+from bayeq.cli.terminal import Progress, require_output
 from bayeq.errors import DataWarning, InputError, UnknownNameError
 
 EXAMPLES = """
@@ -68,7 +67,7 @@ def show(
         raise InputError(f"--json and --{'latex' if latex else 'explain'} exclude each other; give one of them")
     if latex and (explain or physical):
         raise InputError("--latex prints the equations alone; leave out --explain and --physical")
-    from bayeq.cli.outputs import show_equations
+    from bayeq.cli.terminal import show_equations
     from bayeq.equation.load import load
 
     equations = load(file)
@@ -136,7 +135,7 @@ def predict(
             warnings.warn(note, DataWarning, stacklevel=1)
         click.echo(json.dumps(prediction.to_dict(), allow_nan=False) if as_json else str(prediction))
         if forecast is not None:
-            from bayeq.forecast.run import write_forecasts
+            from bayeq.forecast.free_run import write_forecasts
 
             progress(f"writing {forecast.name}", 0, 1)
             write_forecasts(forecast, prediction.runs)

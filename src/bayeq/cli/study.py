@@ -8,9 +8,8 @@ from typing import Any, Literal, cast
 
 import click
 
-from bayeq.cli.environment import say
 from bayeq.cli.options import FILE, Command, cluster_client, json_option, number, option, together
-from bayeq.cli.progress import Progress
+from bayeq.cli.terminal import Progress, say
 from bayeq.errors import InputError, InterruptedRun
 from bayeq.study.config import DEFAULT_ALGORITHMS, STUDY_SYSTEMS, StudyConfig
 
@@ -78,7 +77,7 @@ def table2(
             raise InterruptedRun(
                 f"interrupted: {progress.done} realisations were added to {store}; the same command continues"
             ) from None
-    from bayeq.study.store import Store
+    from bayeq.study.runner import Store
     from bayeq.study.table import show as render
 
     if outcome.realisations:
@@ -102,7 +101,7 @@ def show(store: Path, form: Literal["text", "markdown", "csv"], as_json: bool, t
 
     STORE is its file of results.
     """
-    from bayeq.study.store import Store
+    from bayeq.study.runner import Store
     from bayeq.study.table import show as render
 
     if table not in (2, 3):

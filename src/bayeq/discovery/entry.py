@@ -13,7 +13,7 @@ import numpy as np
 
 from bayeq.adapters.pysindy.library import is_library, terms_of
 from bayeq.dictionary import Specification, Variables
-from bayeq.discovery.hidden import check_scales, dictionaries_of, with_law_terms
+from bayeq.discovery.laws import check_scales, dictionaries_of, with_law_terms
 from bayeq.discovery.question import NotStreamed, Question
 from bayeq.equation.equations import Equations
 from bayeq.errors import (
@@ -41,8 +41,8 @@ from bayeq.states.sensors import share_of_reading
 from bayeq.streaming.checkpoint import Checkpoints, cache_folder
 from bayeq.streaming.cluster import Cluster
 from bayeq.streaming.partitions import dask_streams, is_dask
-from bayeq.streaming.units import Executor, Extent, Threads, of_channels, stretches
 from bayeq.streaming.whole import Whole
+from bayeq.streaming.work import Executor, Extent, Threads, of_channels, stretches
 
 # Longer records in memory are taken in units, as large files are.
 MOST_ROWS = 200_000
@@ -177,7 +177,7 @@ def discover(
     band : (float, float), optional
         Frequencies [Hz] in which the record is believed. Every channel may drift more slowly than the lower one, by
         how much is learned. Hum, lines of the spectra above the higher one, is taken out of all channels
-        (`bayeq.states.believed`).
+        (`bayeq.states.prepare`).
     seed : int
         Seed of methods that draw random numbers (``"gibbs"``).
     progress : callable, optional

@@ -11,16 +11,20 @@ import numpy as np
 
 from bayeq.arrays import Bools
 from bayeq.dictionary import Specification, of_equations, written
-from bayeq.discovery.cautions import warn_of_blows, warn_of_other_terms, warn_of_sensors, warn_of_terms, warn_of_zero
-from bayeq.discovery.conserved import warn_of_changes
-from bayeq.discovery.differs import with_differences
-from bayeq.discovery.hidden import hidden_states, other_starts, without_hidden
+from bayeq.discovery.cautions import (
+    warn_of_blows,
+    warn_of_changes,
+    warn_of_other_terms,
+    warn_of_sensors,
+    warn_of_terms,
+    warn_of_zero,
+)
+from bayeq.discovery.laws import hidden_states, other_starts, with_differences, without_hidden
 from bayeq.equation.answer import DataSummary, EquationTuple, HiddenState
 from bayeq.equation.build import build_equations, with_doubts
 from bayeq.equation.equation import Equation
 from bayeq.equation.equations import Equations
-from bayeq.equation.units import arguments_with_units, channel_units, in_radians
-from bayeq.equation.written import odds_text
+from bayeq.equation.written import arguments_with_units, channel_units, in_radians, odds_text
 from bayeq.errors import DataWarning, InputError, RecordError, TermWarning, WarningLog, some_of
 from bayeq.expressions import Expression
 from bayeq.expressions.functions import CONSTANTS, TIME
@@ -30,8 +34,8 @@ from bayeq.likelihood.hidden import SHARES, with_first_laws, with_first_paths, w
 from bayeq.likelihood.lags import first_lags
 from bayeq.likelihood.layout import Stated
 from bayeq.likelihood.record_fit import RecordFit, refit_record
-from bayeq.likelihood.settings import LIKELIHOOD
 from bayeq.likelihood.unknowns import first_values
+from bayeq.numerics.settings import LIKELIHOOD, SELECTION
 from bayeq.records import UNKNOWN_TIME, Record, check_messages, counts_rows, without_copies
 from bayeq.regression.by_likelihood import regressions_of
 from bayeq.regression.constraints import CONSERVED, Constraints, parse_constraints, parse_ties
@@ -39,7 +43,6 @@ from bayeq.regression.design import Design, build_design, screened
 from bayeq.regression.joint import fit_equations, lags_of_design, record_of
 from bayeq.resumable import Progress
 from bayeq.selection.select import Rules, Selection, select
-from bayeq.selection.settings import SELECTION
 from bayeq.states import (
     Motion,
     Roles,
@@ -54,10 +57,9 @@ from bayeq.states import (
     without_lags,
 )
 from bayeq.states.bad_samples import Learned
-from bayeq.states.believed import without_hum
 from bayeq.states.maps import in_samples
 from bayeq.states.motion import cut_at, held_out_share
-from bayeq.states.prepare import bridged_record, cleaned, divided_at_gaps, require_enough
+from bayeq.states.prepare import bridged_record, cleaned, divided_at_gaps, require_enough, without_hum
 from bayeq.streaming.whole import Whole
 
 NO_LIKELIHOOD = (

@@ -12,8 +12,8 @@ import numpy as np
 from bayeq.arrays import Floats
 from bayeq.equation.answer import Answer, EquationTuple
 from bayeq.errors import ConvergenceWarning, DataWarning, InputError
+from bayeq.forecast.free_run import Forecast, forecast
 from bayeq.forecast.rows import Courses
-from bayeq.forecast.run import Forecast, forecast
 from bayeq.forecast.score import Scores, score_records
 from bayeq.ode.rk4 import check_interpolation
 from bayeq.records import Record

@@ -15,13 +15,13 @@ from bayeq.dictionary.ranges import ConstantEstimate
 from bayeq.equation.equation import Equation
 from bayeq.equation.verdict import Verdict, worst
 from bayeq.errors import InputError
-from bayeq.export.latex import Uncertainty
+from bayeq.export.functions import Uncertainty
 from bayeq.expressions import Evaluator, Expression
 from bayeq.expressions.functions import TIME
 from bayeq.forecast.score import Scores
 from bayeq.inference.posterior import Posterior
 from bayeq.ode.rk4 import Interpolation
-from bayeq.plan.conditions import Measured
+from bayeq.plan.designs import Measured
 from bayeq.records import Record, counts_rows
 from bayeq.refine.refine import Refinement
 from bayeq.regression.constraints import CONSERVED, Constraints, parse_constraints

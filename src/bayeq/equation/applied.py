@@ -17,15 +17,15 @@ import numpy as np
 from bayeq.arrays import Floats
 from bayeq.equation import along
 from bayeq.equation.equations import Equations
-from bayeq.equation.settings import EQUATION
 from bayeq.equation.verdict import state_noise, window_errors
 from bayeq.equation.written import finite, moment
 from bayeq.errors import DataWarning, InputError
-from bayeq.forecast.run import Forecast
+from bayeq.forecast.free_run import Forecast
 from bayeq.forecast.score import percentages
-from bayeq.numerics.normal import Z95
+from bayeq.numerics.distributions import Z95
+from bayeq.numerics.settings import EQUATION
 from bayeq.records import Record, counts_rows
-from bayeq.records.units import conversion
+from bayeq.records.names import conversion
 from bayeq.states import estimate_motion
 from bayeq.states.maps import in_samples
 

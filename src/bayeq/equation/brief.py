@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,13 +12,32 @@ from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation
 from bayeq.equation.oscillator import own_parameters
 from bayeq.equation.physical import PhysicalParameters, Quantity, forces_of
-from bayeq.equation.rows import rows_of, short_names, with_names
-from bayeq.equation.text import CERTAIN, DOUBTFUL, LONGEST_NAME, forms_of, given_of, source_of, unseen
+from bayeq.equation.text import (
+    CERTAIN,
+    DOUBTFUL,
+    LONGEST_NAME,
+    Row,
+    forms_of,
+    given_of,
+    rows_of,
+    short_names,
+    source_of,
+    unseen,
+    with_names,
+)
 from bayeq.equation.written import moment
 from bayeq.errors import printable
+from bayeq.figures.runs import draw_states
+from bayeq.figures.style import above, axes_for, style
+from bayeq.figures.terms import draw_terms
 from bayeq.forecast.score import percentages
 from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
-from bayeq.markup import aligned
+from bayeq.markup import aligned, code, items, join, paragraph, table
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from bayeq.forecast.free_run import Forecast
 
 WIDTH = 100
 
@@ -194,3 +214,71 @@ def failed(equation: Equation) -> Iterator[str]:
     yield from map(printable, (*forms_of(equation), *equation.at_ends))
     for left in equation.left_out:
         yield printable(f"likely, but left out ({left.reason}): {left.name}, probability {left.pip:.3f}")
+
+
+# Candidates that are not in the equation are listed up to this many.
+MOST_OTHERS = 10
+
+# Width of the figure, heights of a bar, of what is around the bars, and of a state's panel [mm].
+FIGURE_WIDTH, BAR, AROUND, PANEL = 160.0, 6.0, 20.0, 40.0
+
+HEADER = ("term", "coefficient", "sd", "95 % interval")
+PARAMETERS = ("parameter", "value", "95 % interval", "unit", "meaning")
+
+
+def plot_terms(eq: Answer, ax: Any = None) -> list[Axes]:
+    """Inclusion probabilities, coefficients and intervals, an equation in each of the axes."""
+    score = ENGINES[eq.method].score
+    bars = {equation.target: list(map(_bar, _listed(equation))) for equation in eq.equations}
+    with style():
+        axes = axes_for(ax, [AROUND + BAR * max(len(rows), 3) for rows in bars.values()], FIGURE_WIDTH, pyplot=True)
+        for one, (target, rows) in zip(axes, bars.items(), strict=True):
+            draw_terms(one, target, rows, score)
+    return axes
+
+
+def plot_run(run: Forecast, ax: Any = None) -> list[Axes]:
+    """A free run, a state in each of the axes."""
+    with style():
+        axes = axes_for(ax, [PANEL] * len(run.mean), FIGURE_WIDTH, pyplot=True)
+        draw_states(axes, run)
+        above(axes[0])
+    return axes
+
+
+def _listed(equation: Equation) -> list[Row]:
+    """Terms of the equation, then the likeliest others."""
+    *rows, _ = rows_of(equation)
+    others = sorted((row for row in rows if row.absent and row.pip >= NOTEWORTHY_PIP), key=lambda row: -row.pip)
+    return [*(row for row in rows if row.coefficient and row.score), *others[:MOST_OTHERS]]
+
+
+def _bar(row: Row) -> tuple[str, float, str]:
+    """Term, probability, and coefficient with its interval."""
+    return row.name, row.pip, f"{row.coefficient}  ({row.interval})" if row.coefficient else ""
+
+
+def as_html(eq: Answer) -> str:
+    """What a notebook shows: the verdict, each equation and its terms, physical parameters, checks and warnings."""
+    parts = [paragraph(f"verdict: {eq.verdict.kind}: {sentence(eq)}", strong=True)]
+    header = (*HEADER, ENGINES[eq.method].score, "unit")
+    for equation in eq.equations:
+        terms = _rows(equation)
+        width = len(header) if any(row[-1] for row in terms) else len(header) - 1
+        parts += [code(equation.text), table(header[:width], [row[:width] for row in terms])]
+    physical = own_parameters(eq)
+    if physical is not None:
+        law = law_in_symbols(eq, physical)
+        parts += [*([] if law is None else [code(law)]), table(PARAMETERS, tabled_parameters(physical), (0, 4))]
+    return join(*parts, paragraph(checks(eq)), items([f"warning: {message}" for message in eq.warnings]))
+
+
+def _rows(equation: Equation) -> list[tuple[str, ...]]:
+    rows: list[tuple[str, ...]] = [
+        (row.name, row.coefficient or "not in it", row.sd, row.interval, row.score, row.unit)
+        for row in _listed(equation)
+    ]
+    constant = rows_of(equation)[-1]
+    if equation.intercept_matters:
+        rows.append(("1", constant.coefficient, constant.sd, constant.interval, "", constant.unit))
+    return rows

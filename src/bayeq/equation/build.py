@@ -8,7 +8,6 @@ from dataclasses import replace
 
 from bayeq.equation.answer import with_shown
 from bayeq.equation.equation import Equation, RunnerUp
-from bayeq.equation.settings import EQUATION
 from bayeq.equation.verdict import LEAST_SHOWN, Verdict, doubted, judge, noise_share, window_errors
 from bayeq.errors import (
     AmbiguityWarning,
@@ -24,9 +23,9 @@ from bayeq.inference.collapsed.path import model_log_posterior, partial_shares
 from bayeq.inference.collapsed.search import neighbours
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.posterior import Posterior
-from bayeq.plan.models import likeliest_models
-from bayeq.regression.by_likelihood import RecordRegression
-from bayeq.regression.channel_errors import changes_by_noise, inputs_of_hidden_noise
+from bayeq.numerics.settings import EQUATION
+from bayeq.plan.information import likeliest_models
+from bayeq.regression.by_likelihood import RecordRegression, changes_by_noise, inputs_of_hidden_noise
 from bayeq.regression.fit import RegressionFit
 from bayeq.regression.regression import Regression
 from bayeq.selection.alternatives import alternatives_to, bounds, undetermined

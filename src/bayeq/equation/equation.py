@@ -21,19 +21,27 @@ from bayeq.equation.sensitivity import (
     require_spike_slab,
 )
 from bayeq.equation.size_path import ParsimonyPath, parsimony_path
-from bayeq.equation.units import constant_units, quotient_unit
 from bayeq.equation.verdict import Verdict
-from bayeq.equation.written import at_end, factor_of, odds_text, round_to, row_of, with_interval
+from bayeq.equation.written import (
+    at_end,
+    constant_units,
+    factor_of,
+    odds_text,
+    quotient_unit,
+    round_to,
+    row_of,
+    with_interval,
+)
 from bayeq.errors import InputError
-from bayeq.export.latex import Uncertainty, sum_in_latex
+from bayeq.export.functions import Uncertainty, sum_in_latex
 from bayeq.expressions import Evaluator, Expression, to_sympy
 from bayeq.expressions.symbolic import step_latex
 from bayeq.forecast.dynamics import Law
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.posterior import Posterior
 from bayeq.markup import code, join, paragraph, table
-from bayeq.numerics.normal import Z95
-from bayeq.plan.models import CandidateModel
+from bayeq.numerics.distributions import Z95
+from bayeq.plan.information import CandidateModel
 from bayeq.regression.fit import RegressionFit
 from bayeq.regression.residuals import Fit, Residuals
 from bayeq.selection.select import LeftOut

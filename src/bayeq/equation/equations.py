@@ -15,7 +15,7 @@ from bayeq.equation.equation import Equation
 from bayeq.errors import DataWarning, FileFormatError, InputError, as_path
 from bayeq.forecast.score import Scores
 from bayeq.records import Record, with_row_numbers
-from bayeq.records.files import replacing
+from bayeq.records.io import replacing
 from bayeq.regression.constraints import CONSERVED
 from bayeq.resumable import Progress, silent
 from bayeq.states import estimate_motion
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from bayeq.equation.physical import PhysicalParameters
-    from bayeq.forecast.run import Forecast
+    from bayeq.forecast.free_run import Forecast
     from bayeq.ode.rk4 import Interpolation
-    from bayeq.plan.conditions import Amplitude
+    from bayeq.plan.designs import Amplitude
     from bayeq.plan.result import Plan
 
 
@@ -86,7 +86,7 @@ class Equations(Answer):
         MissingExtraError
             matplotlib is not installed.
         """
-        from bayeq.equation.overview import plot_run, plot_terms
+        from bayeq.equation.brief import plot_run, plot_terms
 
         return plot_terms(self, ax) if record is None else plot_run(self.simulate(record), ax)
 
@@ -380,7 +380,7 @@ class Equations(Answer):
         DataWarning
             The verdict on the equations is that none was found.
         """
-        from bayeq.plan.conditions import conditions_of
+        from bayeq.plan.designs import conditions_of
         from bayeq.plan.plan import plan_excitation
 
         if self.roles.discrete:
@@ -523,7 +523,7 @@ class Equations(Answer):
             ArviZ is not installed.
         """
         from bayeq.equation.intervals import draws_of
-        from bayeq.figures.picture import named
+        from bayeq.figures.style import named
 
         targets = [equation.target for equation in self]
         if target is None and len(targets) > 1:
@@ -579,7 +579,7 @@ class Equations(Answer):
         return render(self)
 
     def _repr_html_(self) -> str:
-        from bayeq.equation.overview import as_html
+        from bayeq.equation.brief import as_html
 
         return as_html(self)
 

@@ -30,7 +30,7 @@ from bayeq.expressions import Unknown, parse
 from bayeq.expressions.functions import TIME
 from bayeq.forecast.score import Scores
 from bayeq.inference.posterior import LARGEST, ModelAverage, Posterior
-from bayeq.numerics.normal import Z95
+from bayeq.numerics.distributions import Z95
 from bayeq.records.io import near_files
 from bayeq.records.validate import check_name
 from bayeq.regression.design import DroppedTerm

@@ -27,10 +27,10 @@ from bayeq.equation.physical import (
     physical_parameters,
     quantity,
 )
-from bayeq.equation.units import OscillatorUnits
+from bayeq.equation.written import OscillatorUnits
 from bayeq.errors import InputError
 from bayeq.expressions import Expression
-from bayeq.figures.picture import named
+from bayeq.figures.style import named
 from bayeq.forecast.dynamics import Law
 
 # Draws of parameters that nobody has asked for.

@@ -19,14 +19,13 @@ import numpy as np
 
 from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
-from bayeq.equation.units import OscillatorUnits, quotient_unit
-from bayeq.equation.written import with_interval
+from bayeq.equation.written import OscillatorUnits, quotient_unit, with_interval
 from bayeq.errors import InputError, UnknownNameError, whole_number
 from bayeq.expressions import Binary, Expression, Node, Number, Symbol, parse
 from bayeq.forecast.dynamics import Dynamics, Law
 from bayeq.likelihood.signs import jumps_of
 from bayeq.markup import aligned
-from bayeq.numerics.normal import Z95
+from bayeq.numerics.distributions import Z95
 from bayeq.states import Chain
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from bayeq.inference.bma import average_models
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.prior import Prior
-from bayeq.inference.settings import INFERENCE
+from bayeq.numerics.settings import INFERENCE
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -16,7 +16,7 @@ from bayeq.equation.oscillator import own_parameters
 from bayeq.equation.written import finite
 from bayeq.forecast.score import Scores
 from bayeq.inference.posterior import Posterior
-from bayeq.numerics.normal import Z95
+from bayeq.numerics.distributions import Z95
 
 FORMAT = "bayeq-equations-1"
 

@@ -10,12 +10,11 @@ from typing import Literal
 import numpy as np
 
 from bayeq.arrays import Floats
-from bayeq.equation.settings import EQUATION
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import correlation_time, typical_period, window_runs
 from bayeq.forecast.rows import divided, rows_of
 from bayeq.likelihood.adequacy import Discrepancy, Octave
-from bayeq.likelihood.settings import LIKELIHOOD
+from bayeq.numerics.settings import EQUATION, LIKELIHOOD
 from bayeq.regression.regression import Regression
 from bayeq.regression.residuals import Fit
 from bayeq.selection.alternatives import Alternatives

@@ -1,12 +1,304 @@
-"""Numbers, terms and the constants inside them as they are written in answers."""
+"""Units of coefficients, from those of the channels; numbers, terms and constants as answers have them.
+
+``m/s^2`` per ``mm`` is ``m/s^2/mm``: symbols are multiplied and cancelled, never converted. Parameters of an oscillator
+are in SI units where those of the channels are known.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from fractions import Fraction
 from typing import Any
 
-from bayeq.dictionary.ranges import ConstantEstimate
+from bayeq.dictionary.ranges import ConstantEstimate, beside
+from bayeq.errors import InputError
+from bayeq.expressions import Binary, Call, Constant, Expression, Negate, Node, Number, Symbol, Unknown
+from bayeq.expressions.functions import TIME
+from bayeq.expressions.nodes import arguments_of, with_arguments
+from bayeq.records.names import Unit, derivative_ratio, in_si, multiply_units, parse_unit, written_unit
+from bayeq.states import Chain
+
+# Functions of numbers without a unit; those of angles, and units of these.
+PURE = (
+    "sin", "cos", "tan", "asin", "acos", "atan", "exp", "log", "log10", "log1p", "sinh", "cosh", "tanh", "asinh",
+    "acosh", "atanh", "erf",
+)  # fmt: skip
+OF_ANGLES = ("sin", "cos", "tan")
+RADIANS, DEGREES = (Unit(), parse_unit("rad")), (parse_unit("deg"), parse_unit("°"))
+# Numbers by which a term converts degrees itself.
+CONVERTING = (180.0, math.pi / 180.0, 180.0 / math.pi)
+
+# Functions whose values have the unit of an argument, or of its root.
+_LIKE_ARGUMENTS = ("abs", "cbrt", "max", "min", "mod", "relu", "sqrt", "where")
+
+
+def _of(node: Node, units: Mapping[str, str]) -> Unit | None:
+    """Unit of a term; None where a channel's is not known, or where units do not fit together."""
+    match node:
+        case Number() | Constant():
+            return {}
+        case Symbol(name):
+            return parse_unit(units[name]) if name in units else None
+        case Unknown(name):
+            return parse_unit(units[f"{{{name}}}"]) if f"{{{name}}}" in units else None
+        case Negate(operand) | Call("abs" | "relu", (operand,)):
+            return _of(operand, units)
+        case Call("sqrt" | "cbrt" as root, (operand,)):
+            inside = _of(operand, units)
+            return None if inside is None else multiply_units({}, inside, Fraction(1, 2 if root == "sqrt" else 3))
+        case Call("mod", (operand, _)):
+            return _of(operand, units)
+        case Call("max" | "min", arguments) | Call("where", (_, *arguments)):
+            found = [_of(one, units) for one in arguments if one != Number(0)]  # 0 has every unit
+            return found[0] if found and all(one == found[0] for one in found) else None
+        case Call():
+            return {}
+        case Binary("+" | "-", left, right):
+            first, second = _of(left, units), _of(right, units)
+            return first if first == second else None
+        case Binary("**", left, Number(value)):
+            base = _of(left, units)
+            return None if base is None else multiply_units({}, base, Fraction(value).limit_denominator(1000))
+        case Binary("*" | "/" as operator, left, right):
+            first, second = _of(left, units), _of(right, units)
+            if first is None or second is None:
+                return None
+            return multiply_units(dict(first), second, 1 if operator == "*" else -1)
+    return None
+
+
+def quotient_unit(target: str, term: Expression, units: Mapping[str, str]) -> str | None:
+    """Unit of the coefficient of a term in the equation of a target, all in names of channels.
+
+    None where the unit of the target or of a channel in the term is not known.
+
+    Examples
+    --------
+    >>> from bayeq.expressions import parse
+    >>> units = {"x": "mm", "v": "m/s", "a": "m/s2", "u": "N"}
+    >>> [quotient_unit("a", parse(t), units) for t in ("x", "v", "x**3", "v*abs(v)", "sign(v)", "u")]
+    ['m/s^2/mm', '1/s', 'm/s^2/mm^3', '1/m', 'm/s^2', 'm/s^2/N']
+    """
+    if target not in units:
+        return None
+    below = _of(term.tree, units)
+    return None if below is None else written_unit(multiply_units(parse_unit(units[target]), below, -1))
+
+
+def constant_units(terms: Sequence[Expression], units: Mapping[str, str]) -> dict[str, str]:
+    """Units of the constants inside terms: of what they are added to or divide, one over that of what they multiply.
+
+    Those of a product that is no argument of a function are left out, as are exponents.
+
+    Examples
+    --------
+    >>> from bayeq.expressions import parse
+    >>> constant_units([parse("tanh(v/{v0})"), parse("exp(-{a}*t)")], {"v": "m/s", "t": "s"})
+    {'v0': 'm/s', 'a': '1/s'}
+    """
+    out: dict[str, str] = {}
+    for term in terms:
+        for name in term.unknowns:
+            place, known = beside(term, name), {**units, **{f"{{{one}}}": unit for one, unit in out.items()}}
+            unit = None if place.other is None or name in out or place.operation == "**" else _of(place.other, known)
+            if unit is None or (place.operation in ("*", "below") and not _is_plain(place.path)):
+                continue
+            power = Fraction(-1 if place.operation == "*" else 1)
+            if isinstance(place.power, Number):
+                power /= Fraction(place.power.value)
+            if place.power is None or isinstance(place.power, Number):
+                out[name] = written_unit(multiply_units({}, unit, power))
+    return out
+
+
+def in_radians(term: Expression, units: Mapping[str, str]) -> Expression:
+    """The term with sines, cosines and tangents of degrees written as those of radians.
+
+    Examples
+    --------
+    >>> from bayeq.expressions import parse
+    >>> in_radians(parse("v*sin(th)"), {"th": "deg", "v": "deg/s"}).text
+    'v*sin(pi*th/180)'
+    """
+    return replace(term, tree=_in_radians(term.tree, units))
+
+
+def _in_radians(node: Node, units: Mapping[str, str]) -> Node:
+    node = with_arguments(node, tuple(_in_radians(part, units) for part in arguments_of(node)))
+    match node:
+        case Call(function, (angle,)) if function in OF_ANGLES and _of(angle, units) in DEGREES:
+            if not _converts(angle):
+                return Call(function, (Binary("/", Binary("*", Constant("pi"), angle), Number(180)),))
+    return node
+
+
+def _converts(node: Node) -> bool:
+    """Whether an angle is multiplied by what makes radians of degrees."""
+    match node:
+        case Constant("pi"):
+            return True
+        case Number(value):
+            return any(math.isclose(value, factor, rel_tol=1e-3) for factor in CONVERTING)
+    return any(map(_converts, arguments_of(node)))
+
+
+def arguments_with_units(term: Expression, units: Mapping[str, str]) -> Iterator[str]:
+    """Units of arguments of exponentials, logarithms and sines in a term, which should have none; t may have one."""
+    parts = [term.tree]
+    while parts:
+        node = parts.pop()
+        parts += arguments_of(node)
+        if isinstance(node, Call) and node.function in PURE and Expression(node).names != {TIME}:
+            unit = _of(node.arguments[0], units)
+            fine = RADIANS + DEGREES if node.function in OF_ANGLES else RADIANS
+            if unit is not None and unit not in fine:
+                yield written_unit(unit)
+
+
+def _is_plain(path: Sequence[Node]) -> bool:
+    """Whether a product, the last of a path, has no unit: in a function, or beside a number."""
+    child = path[-1]
+    for parent in reversed(path[:-1]):
+        match parent:
+            case Binary("+" | "-", left, right) if isinstance(left if right is child else right, Number):
+                return True
+            case Negate() | Binary("+" | "-"):
+                child = parent
+            case Binary("**", _, right):
+                return right is child or isinstance(right, Unknown)
+            case Call(function):
+                return function not in _LIKE_ARGUMENTS
+            case _:
+                return False
+    return False
+
+
+def derivative_unit(unit: str, order: int) -> str:
+    """Unit of the derivative of a channel by time [s]; of its integral, where `order` is negative.
+
+    Examples
+    --------
+    >>> derivative_unit("mm", 2), derivative_unit("m/s^2", -2)
+    ('mm/s^2', 'm')
+    """
+    return written_unit(multiply_units(parse_unit(unit), {"s": Fraction(-order)}))
+
+
+def channel_units(
+    stated: Sequence[Mapping[str, str]], chains: Sequence[Chain], inputs: Sequence[str]
+) -> tuple[dict[str, str], list[str]]:
+    """Units of states, targets and inputs, as far as each of the records states them, and the conflicts.
+
+    A derivative that is not measured has the unit of the nearest one that is, over or times seconds. A conflict is a
+    sentence on a channel whose unit depends on the record; its unit is left out.
+    """
+    units: dict[str, str] = {}
+    conflicts = []
+    for name in dict.fromkeys([*(m for chain in chains for m in chain.measured if m is not None), *inputs]):
+        found = sorted({one[name] for one in stated if name in one})
+        if len(found) > 1:
+            conflicts.append(f"{name} is in {' and in '.join(found)}, depending on the record: give it one unit")
+        elif found:
+            units[name] = found[0]
+    for chain in chains:
+        known = [k for k, m in enumerate(chain.measured) if m in units]
+        for k, name in enumerate(chain.names):
+            if chain.measured[k] is None and known:
+                nearest = min((abs(k - other), other) for other in known)[1]
+                order = 0 if chain.discrete else k - nearest
+                units[name] = derivative_unit(units[chain.names[nearest]], order)
+    return units, conflicts
+
+
+# Products of SI units that have a shorter name.
+SHORTER: Mapping[str, str] = {"N*s^2/m": "kg", "N*m*s^2": "kg*m^2"}
+
+
+class OscillatorUnits:
+    """What the numbers of channels are in consistent units, SI where these are known.
+
+    Consistent are a displacement, its derivatives by seconds, and a force; the factors turn coefficients of the
+    channels' numbers into coefficients of those. Gains are what the motion says of the units
+    (`bayeq.states.sensors`), empty where it says nothing, and `force` is the input that is one. With `in_kg` the
+    mass is given: in kg (kg m^2, if the displacement is an angle) where the displacement's unit is known.
+
+    InputError for units that are not those of a motion and its derivatives, or not those of this motion.
+    """
+
+    def __init__(
+        self,
+        units: Mapping[str, str],
+        chain: Chain,
+        gains: Sequence[float],
+        force: str | None,
+        in_kg: bool = False,
+    ) -> None:
+        x = chain.names[0]
+        self.length: Unit | None = parse_unit(units[x]) if x in units else None
+        self.force: Unit | None = parse_unit(units[force]) if force is not None and force in units else None
+        self.per_length = self.per_force = 1.0
+        # a channel's number is this ratio times the derivative's of the displacement
+        self.velocity, self.acceleration = (_ratio(units, chain, k, gains[k] if gains else None) for k in (1, 2))
+        if self.length is not None:
+            self.per_length, self.length = in_si(self.length) or (1.0, self.length)
+        if self.force is not None:
+            self.per_force, self.force = in_si(self.force) or (1.0, self.force)
+        elif in_kg and self.length in ({}, {"m": Fraction(1)}):
+            self.force = multiply_units({"N": Fraction(1)}, {} if self.length else {"m": Fraction(1)})
+
+    def scale(self, powers: tuple[int, int]) -> float:
+        """Of the coefficient of x**p v**q in the equation of the acceleration."""
+        p, q = powers
+        return self.velocity**q / self.acceleration * self.per_length ** (1 - p - q)
+
+    def scale_force(self) -> float:
+        """Of the coefficient of the force."""
+        return self.per_length / (self.acceleration * self.per_force)
+
+    def displacement(self) -> str | None:
+        """Unit of the displacement; None where it is not known."""
+        return None if self.length is None else _written(self.length)
+
+    def mass(self) -> str | None:
+        """Unit of the mass; None where it is not known."""
+        if self.length is None or self.force is None:
+            return None
+        return _written(multiply_units(multiply_units(dict(self.force), self.length, -1), {"s": Fraction(2)}))
+
+    def unit(self, powers: tuple[int, int], with_mass: bool) -> str | None:
+        """Unit of the parameter of x**p v**q, as a force or per unit of mass; None where it is not known."""
+        p, q = powers
+        of_term = self.force if with_mass else multiply_units(dict(self.length or {}), {"s": Fraction(-2)})
+        if self.length is None or of_term is None:
+            return None
+        out = multiply_units(dict(of_term), self.length, -(p + q))
+        return _written(multiply_units(out, {"s": Fraction(q)}))
+
+
+def _ratio(units: Mapping[str, str], chain: Chain, order: int, gain: float | None) -> float:
+    """Factor of a derivative's channel to the derivative of the displacement's; `gain` is what the motion says."""
+    x, other = chain.names[0], chain.names[order]
+    if x not in units or other not in units:
+        return 1.0 if gain is None else gain
+    stated, what = derivative_ratio(units[x], units[other], order), f"{'second ' * (order == 2)}derivative of {x}"
+    if stated is None:
+        raise InputError(f"{other} in {units[other]} is no {what} in {units[x]}: state units that fit, or none")
+    if gain is not None and not math.isclose(abs(gain), stated, rel_tol=1e-9):
+        raise InputError(
+            f"{other} in {units[other]} should be {stated:.4g} times the {what} in {units[x]}, but it is {gain:.4g}"
+            " times that: state the units that the channels have, or none"
+        )
+    return stated if gain is None else gain
+
+
+def _written(unit: Unit) -> str:
+    """``N*s/m``; a shorter name where there is one, and no text of a pure number."""
+    order = sorted(unit.items(), key=lambda item: ({"N": 0, "m": 1, "s": 2}.get(item[0], -1), item[0]))
+    text = written_unit(dict(order)) if unit else ""
+    return SHORTER.get(text, text)
+
 
 # A value is at the end of its range within this share of it.
 AT_END = 0.01

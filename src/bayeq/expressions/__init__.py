@@ -4,12 +4,11 @@
 kernels; `to_sympy` shows it.
 """
 
-from bayeq.expressions.evaluate import Evaluator
+from bayeq.expressions.evaluate import Evaluator, Tape, run_tape
 from bayeq.expressions.functions import FUNCTIONS
 from bayeq.expressions.nodes import Binary, Call, Constant, Expression, Negate, Node, Number, Symbol, Unknown, number
 from bayeq.expressions.parse import parse
 from bayeq.expressions.symbolic import to_sympy
-from bayeq.expressions.tape import Tape, run_tape
 
 __all__ = [
     "FUNCTIONS",

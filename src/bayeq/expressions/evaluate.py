@@ -1,16 +1,33 @@
-"""``Evaluator``: expressions on whole columns of samples, sharing what they have in common."""
+"""Expressions as tapes, and ``Evaluator``: on whole columns of samples, sharing what they have in common."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import reduce
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from bayeq.arrays import Floats
 from bayeq.errors import InputError, UnknownNameError
-from bayeq.expressions.functions import COMPARISONS, CONSTANTS, FUNCTIONS
+from bayeq.expressions.functions import (
+    ABS,
+    COMPARISONS,
+    CONSTANTS,
+    FUNCTIONS,
+    PAIRS,
+    PICK,
+    SIGN,
+    UNLESS,
+    apply_function,
+    apply_pair,
+)
 from bayeq.expressions.nodes import Binary, Call, Constant, Expression, Negate, Node, Number, Symbol, Unknown
+from bayeq.expressions.parse import substituted, template
+from bayeq.kernels import kernel
 
 # Integer powers up to here are products, x**5 = x**4*x, so that the monomials of a dictionary share them.
 MAX_INTEGER_POWER = 16
@@ -112,3 +129,271 @@ class Evaluator:
         while len(powers) < abs(k):
             powers.append(powers[-1] * value)
         return powers[k - 1] if k > 0 else np.float64(1.0) / powers[-k - 1]
+
+
+IndexArray: TypeAlias = NDArray[np.uint32]
+
+ADD, SUBTRACT, MULTIPLY, DIVIDE, POWER, NEGATE = range(6)
+_OPCODES = {
+    "+": ADD,
+    "-": SUBTRACT,
+    "*": MULTIPLY,
+    "/": DIVIDE,
+    "**": POWER,
+    **{op: comparison.opcode for op, comparison in COMPARISONS.items()},
+}
+# what instructions make of constants
+_ON_CONSTANTS: dict[int, Callable[..., Any]] = {
+    **{_OPCODES[op]: ufunc for op, ufunc in ARITHMETIC.items()},
+    **{comparison.opcode: comparison.numpy for comparison in COMPARISONS.values()},
+    **{function.opcode: function.numpy for function in FUNCTIONS.values() if function.opcode},
+    NEGATE: np.negative,
+    PICK: lambda a, b: b if a else 0.0,
+    UNLESS: lambda a, b: 0.0 if a else b,
+}
+
+
+class Program(NamedTuple):
+    """A tape as kernels take it."""
+
+    code: IndexArray  # (instructions, 4), opcode, destination, first and second operand of each instruction
+    outputs: IndexArray  # (n_expressions,), the register of each expression's value
+    # (n_registers,), the values of the variables in front; changed in place, so that each run needs its own
+    registers: Floats
+
+
+@kernel(borrowing=True)
+def run_tape(program: Program, tangents: Floats | None) -> None:
+    """Execute a tape: afterwards the outputs stand in ``program.registers[program.outputs]``.
+
+    The values of the variables are in the first registers. Tangents (n_registers, q) are derivatives of each register
+    along q directions: those of the variables in front are given (0 for constants), the others are computed. With None,
+    which is a type of its own to the compiler, nothing is spent on them.
+    """
+    code, registers = program.code, program.registers
+    for i in range(code.shape[0]):
+        opcode, to, left, right = code[i, 0], code[i, 1], code[i, 2], code[i, 3]
+        a = registers[left]
+        b = registers[right]
+        if opcode == MULTIPLY:
+            value = a * b
+            if tangents is not None:
+                for j in range(tangents.shape[1]):
+                    tangents[to, j] = a * tangents[right, j] + b * tangents[left, j]
+        elif opcode == ADD:
+            value = a + b
+            if tangents is not None:
+                for j in range(tangents.shape[1]):
+                    tangents[to, j] = tangents[left, j] + tangents[right, j]
+        elif opcode == SUBTRACT:
+            value = a - b
+            if tangents is not None:
+                for j in range(tangents.shape[1]):
+                    tangents[to, j] = tangents[left, j] - tangents[right, j]
+        elif opcode == DIVIDE:
+            value = a / b
+            if tangents is not None:
+                for j in range(tangents.shape[1]):
+                    tangents[to, j] = (tangents[left, j] - value * tangents[right, j]) / b
+        elif opcode == NEGATE:
+            value = -a
+            if tangents is not None:
+                for j in range(tangents.shape[1]):
+                    tangents[to, j] = -tangents[left, j]
+        elif opcode == POWER:
+            value = a**b
+            if tangents is not None:
+                for j in range(tangents.shape[1]):
+                    # a factor that is 0 leaves out what would be infinite or undefined
+                    slope = b * a ** (b - 1.0) * tangents[left, j] if tangents[left, j] != 0.0 else 0.0
+                    if tangents[right, j] != 0.0:
+                        slope += value * math.log(a) * tangents[right, j]
+                    tangents[to, j] = slope
+        elif opcode >= PAIRS:
+            value, by_a, by_b = apply_pair(opcode, a, b)
+            if tangents is not None:
+                for j in range(tangents.shape[1]):
+                    slope = by_a * tangents[left, j] if tangents[left, j] != 0.0 and by_a != 0.0 else 0.0
+                    if tangents[right, j] != 0.0 and by_b != 0.0:
+                        slope += by_b * tangents[right, j]
+                    tangents[to, j] = slope
+        else:
+            value = apply_function(opcode, a, False)
+            if tangents is not None:
+                slope = apply_function(opcode, a, True)
+                for j in range(tangents.shape[1]):
+                    tangents[to, j] = slope * tangents[left, j] if tangents[left, j] != 0.0 else 0.0
+        registers[to] = value
+
+
+@dataclass(frozen=True, eq=False)
+class Tape:
+    """Expressions compiled for `run_tape`; make one with `Tape.compile`.
+
+    Examples
+    --------
+    >>> from bayeq.expressions import Tape, parse
+    >>> tape = Tape.compile([parse("v"), parse("-2*v-x**3")], ["x", "v"])
+    >>> tape([2.0, 1.0])
+    array([  1., -10.])
+    """
+
+    variables: tuple[str, ...]  # their values are the first registers, in this order
+    code: IndexArray  # (instructions, 4), opcode, destination, first and second operand
+    initial: Floats  # (n_registers,), the constants in their places, and 0 elsewhere
+    outputs: IndexArray  # (n_expressions,), the register of each expression's value
+
+    @classmethod
+    def compile(cls, expressions: Iterable[Expression], variables: Sequence[str]) -> Tape:
+        """Compile expressions in the given variables; common sub-expressions are computed once.
+
+        UnknownNameError: if an expression uses a name that is not a variable.
+        """
+        compiler = _Compiler(variables)
+        with np.errstate(all="ignore"):
+            outputs = [compiler.register(e.tree) for e in expressions]
+        return cls(
+            variables=tuple(variables),
+            code=np.array(compiler.code, dtype=np.uint32).reshape(-1, 4),
+            initial=np.array(compiler.initial, dtype=np.float64),
+            outputs=np.array(outputs, dtype=np.uint32),
+        )
+
+    def program(self, values: ArrayLike = ()) -> Program:
+        """The tape with fresh registers; `values` are those of the first variables, the others are 0."""
+        registers = self.initial.copy()
+        given = np.asarray(values, dtype=np.float64)
+        if given.ndim != 1 or len(given) > len(self.variables):
+            raise InputError(f"expected at most {len(self.variables)} values, got shape {given.shape}")
+        registers[: len(given)] = given
+        return Program(self.code, self.outputs, registers)
+
+    def __call__(self, values: ArrayLike) -> Floats:
+        """Values of the expressions, ``(n_expressions,)``, at one point: a value per variable."""
+        program = self.program(values)
+        run_tape(program, None)
+        return program.registers[self.outputs]
+
+
+class _Compiler:
+    """Numbers values: the same operation on the same registers is the same register."""
+
+    def __init__(self, variables: Sequence[str]) -> None:
+        self.variables = {name: i for i, name in enumerate(variables)}
+        if len(self.variables) < len(variables):
+            raise InputError(f"variables are repeated: {', '.join(variables)}")
+        self.initial = [0.0] * len(self.variables)
+        self.code: list[tuple[int, int, int, int]] = []
+        self.constants: dict[bytes, int] = {}
+        self.values: dict[int, np.float64] = {}
+        self.known: dict[tuple[int, int, int], int] = {}
+
+    def register(self, node: Node) -> int:
+        """The register that holds the value of a node."""
+        match node:
+            case Number(value) | Unknown(value=value):
+                return self.constant(np.float64(value))
+            case Symbol(name):
+                if name not in self.variables:
+                    raise UnknownNameError("channel", name, self.variables)
+                return self.variables[name]
+            case Constant(name):
+                return self.constant(np.float64(CONSTANTS[name]))
+            case Negate(operand):
+                return self.emit(NEGATE, self.register(operand))
+            case Call(function, arguments):
+                return self.call(function, arguments)
+            case Binary("**", left, right):
+                return self.power(self.register(left), self.register(right))
+            case Binary(op, left, right):
+                return self.emit(_OPCODES[op], self.register(left), self.register(right))
+
+    def call(self, function: str, arguments: Sequence[Node]) -> int:
+        """The register that holds the value of a function."""
+        row = FUNCTIONS[function]
+        if row.definition:
+            return self.register(substituted(template(row.definition), arguments))
+        registers = [self.register(argument) for argument in arguments]
+        if function == "where":
+            # what is not picked counts as 0, whatever it is
+            condition, first, second = registers
+            return self.emit(ADD, self.emit(PICK, condition, first), self.emit(UNLESS, condition, second))
+        if len(registers) == 1:
+            return self.emit(row.opcode, registers[0])
+        return reduce(lambda a, b: self.emit(row.opcode, a, b), registers)
+
+    def constant(self, value: np.float64) -> int:
+        key = value.tobytes()  # the bits: 0.0 and -0.0 differ, NaN equals itself
+        if key not in self.constants:
+            self.constants[key] = len(self.initial)
+            self.values[len(self.initial)] = value
+            self.initial.append(float(value))
+        return self.constants[key]
+
+    def emit(self, opcode: int, a: int, b: int | None = None) -> int:
+        operands: tuple[int, ...] = (a,) if b is None else (a, b)
+        if all(r in self.values for r in operands):
+            return self.constant(np.float64(_ON_CONSTANTS[opcode](*(self.values[r] for r in operands))))
+        if opcode in (ADD, MULTIPLY):
+            operands = tuple(sorted(operands))
+        key = (opcode, operands[0], operands[-1])
+        if key not in self.known:
+            self.known[key] = len(self.initial)
+            self.code.append((opcode, len(self.initial), operands[0], operands[-1]))
+            self.initial.append(0.0)
+        return self.known[key]
+
+    def power(self, base: int, exponent: int) -> int:
+        """As in `Evaluator`: small integer powers are products."""
+        value = self.values.get(exponent)
+        if value is None or not value.is_integer() or abs(value) > MAX_INTEGER_POWER:
+            return self.emit(POWER, base, exponent)
+        if value == 0:
+            return self.constant(np.float64(1.0))
+        product = base
+        for _ in range(1, abs(int(value))):
+            product = self.emit(MULTIPLY, product, base)
+        return product if value > 0 else self.emit(DIVIDE, self.constant(np.float64(1.0)), product)
+
+
+def registers_for(tape: Tape, rows: int) -> Floats:
+    """Work space of `run_on_rows`, (n_registers, rows), with the constants in their places."""
+    return np.repeat(tape.initial[:, None], rows, axis=1)
+
+
+@kernel
+def run_on_rows(code: IndexArray, registers: Floats, rows: int) -> None:
+    """Execute a tape on the first `rows` columns of `registers`, (n_registers, R); variables are given in the first."""
+    for i in range(code.shape[0]):
+        opcode, to, left, right = code[i, 0], code[i, 1], code[i, 2], code[i, 3]
+        out, a, b = registers[to], registers[left], registers[right]
+        if opcode == MULTIPLY:
+            for j in range(rows):
+                out[j] = a[j] * b[j]
+        elif opcode == ADD:
+            for j in range(rows):
+                out[j] = a[j] + b[j]
+        elif opcode == SUBTRACT:
+            for j in range(rows):
+                out[j] = a[j] - b[j]
+        elif opcode == DIVIDE:
+            for j in range(rows):
+                out[j] = a[j] / b[j]
+        elif opcode == NEGATE:
+            for j in range(rows):
+                out[j] = -a[j]
+        elif opcode == ABS:
+            for j in range(rows):
+                out[j] = abs(a[j])
+        elif opcode == SIGN:
+            for j in range(rows):
+                out[j] = a[j] if a[j] == 0.0 or a[j] != a[j] else np.copysign(1.0, a[j])
+        elif opcode == POWER:
+            for j in range(rows):
+                out[j] = a[j] ** b[j]
+        elif opcode >= PAIRS:
+            for j in range(rows):
+                out[j] = apply_pair(opcode, a[j], b[j])[0]
+        else:
+            for j in range(rows):
+                out[j] = apply_function(opcode, a[j], False)

@@ -1,7 +1,7 @@
 """The functions, comparisons and constants of a term: one table for parsing, evaluating, compiling and SymPy.
 
 A new function is a row here. Where its row defines it by other functions, that is all. Otherwise it has an opcode, and
-in the kernels below a line for its value and its derivative, which `bayeq.expressions.tape` calls.
+in the kernels below a line for its value and its derivative, which `bayeq.expressions.evaluate` calls.
 """
 
 from __future__ import annotations

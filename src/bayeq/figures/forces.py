@@ -13,7 +13,12 @@ import numpy as np
 from bayeq.arrays import Floats
 from bayeq.errors import InputError
 from bayeq.expressions import Evaluator
-from bayeq.figures.picture import (
+from bayeq.figures.runs import BAND
+from bayeq.figures.style import (
+    BLACK,
+    BLUE,
+    GREY,
+    SINGLE_COLUMN,
     Answer,
     EquationLike,
     above,
@@ -22,12 +27,12 @@ from bayeq.figures.picture import (
     given_as,
     label_of,
     named,
+    new_figure,
+    picture,
     thinned,
     titled,
 )
-from bayeq.figures.runs import BAND
-from bayeq.figures.style import BLACK, BLUE, GREY, SINGLE_COLUMN, new_figure, picture
-from bayeq.numerics.normal import Z95
+from bayeq.numerics.distributions import Z95
 from bayeq.records import Record
 
 if TYPE_CHECKING:

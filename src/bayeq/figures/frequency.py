@@ -8,9 +8,27 @@ import numpy as np
 
 from bayeq.arrays import Complexes, Floats
 from bayeq.errors import InputError
-from bayeq.figures.picture import Answer, Run, above, axes_for, bracketed, channel_of, frequency_label, named, units_of
 from bayeq.figures.runs import DRAWN, MEASURED
-from bayeq.figures.style import FULL_WIDTH, GREY, ORANGE, PALE, SINGLE_COLUMN, log_ticks, picture, plain, term_label
+from bayeq.figures.style import (
+    FULL_WIDTH,
+    GREY,
+    ORANGE,
+    PALE,
+    SINGLE_COLUMN,
+    Answer,
+    Run,
+    above,
+    axes_for,
+    bracketed,
+    channel_of,
+    frequency_label,
+    log_ticks,
+    named,
+    picture,
+    plain,
+    term_label,
+    units_of,
+)
 from bayeq.records import Record
 
 if TYPE_CHECKING:

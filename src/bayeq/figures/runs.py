@@ -9,20 +9,6 @@ import numpy as np
 
 from bayeq.arrays import Floats
 from bayeq.errors import InputError, UnknownNameError
-from bayeq.figures.picture import (
-    Answer,
-    Run,
-    above,
-    axes_for,
-    channel_of,
-    equation_of,
-    given_as,
-    label_of,
-    thinned,
-    time_label,
-    titled,
-    units_of,
-)
 from bayeq.figures.style import (
     BLACK,
     BLUE,
@@ -32,13 +18,25 @@ from bayeq.figures.style import (
     PALE,
     RED,
     SINGLE_COLUMN,
+    Answer,
+    Run,
+    above,
+    axes_for,
+    channel_of,
+    equation_of,
+    given_as,
+    label_of,
     labelled,
     new_panels,
     picture,
     plain,
     term_label,
+    thinned,
+    time_label,
+    titled,
+    units_of,
 )
-from bayeq.numerics.normal import Z95
+from bayeq.numerics.distributions import Z95
 from bayeq.records import Record
 
 if TYPE_CHECKING:

@@ -12,8 +12,8 @@ import numpy as np
 
 from bayeq.arrays import Floats
 from bayeq.expressions import Binary, Expression, Node, Number, Symbol, Tape, number
+from bayeq.expressions.evaluate import Program
 from bayeq.expressions.implicit import solved
-from bayeq.expressions.tape import Program
 from bayeq.inference.posterior import Posterior
 from bayeq.ode.rk4 import Drive, local_errors
 from bayeq.states import Chain, Motion, Roles, rates
@@ -31,7 +31,7 @@ class Law(NamedTuple):
     chain: Chain
     terms: Sequence[Expression]  # all candidates
     posterior: Posterior  # says which of them are included
-    unit_gains: Sequence[float] = ()  # of the chain's channels, see `bayeq.states.unit_gains`; empty where all are 1
+    unit_gains: Sequence[float] = ()  # of the chain's channels, see `bayeq.states.sensors`; empty where all are 1
 
 
 def solved_laws(laws: Sequence[Law]) -> list[Law]:

@@ -12,8 +12,8 @@ from bayeq.inference.collapsed.listing import shares
 from bayeq.inference.gibbs import spike_slab_gibbs
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
-from bayeq.inference.settings import INFERENCE
 from bayeq.inference.vb import spike_slab_vb
+from bayeq.numerics.settings import INFERENCE
 
 # The ascent of VB starts from this many of the best models, and from those near them. It does not start from the RVM as
 # well: in 3,680 fits of the four systems of the study, raw and smoothed, that never led to a higher ELBO.

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from bayeq.arrays import Bools, Floats, Ints
 from bayeq.errors import InputError
 from bayeq.gram import GramLike
-from bayeq.inference.collapsed.conditional import exact_posterior
 from bayeq.inference.collapsed.listing import ENUMERATE, ModelSet, list_models, shares
 from bayeq.inference.collapsed.problem import Problem
+from bayeq.inference.collapsed.slab import exact_posterior
 from bayeq.inference.collapsed.tableau import active_block, drifted, flip, renew, swept
 from bayeq.inference.posterior import ModelAverage, Posterior
 from bayeq.inference.prior import Prior
@@ -89,7 +89,7 @@ def average_models(
     if limits is None:
         return list_models(problem, tolerance, enumerate_up_to)
     # brings scipy.special, which takes a while to import
-    from bayeq.inference.signs.truncation import list_signed
+    from bayeq.inference.signs import list_signed
 
     return list_signed(problem, limits, tolerance, enumerate_up_to)
 
@@ -103,7 +103,7 @@ def _moments(
     models, weights = models[order], weights[order]
     if limits is None:
         return _mixture_moments(problem, models, weights, place, count)
-    from bayeq.inference.signs.truncation import truncated_models
+    from bayeq.inference.signs import truncated_models
 
     truncated = list(truncated_models(problem, limits, models))
     others = np.ones(len(models), dtype=np.bool_)

@@ -15,9 +15,9 @@ import numpy as np
 from bayeq.arrays import Bools, Floats
 from bayeq.errors import InputError
 from bayeq.gram import GramLike
-from bayeq.inference.collapsed.conditional import given_model
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import greedy_start
+from bayeq.inference.collapsed.slab import given_model
 from bayeq.inference.collapsed.tableau import (
     LOOK,
     Tableau,

@@ -21,7 +21,7 @@ HEADER = (
 LEFT = (0, 1, 2, 8)
 
 # Longer names and units are cut, so that rows stay rows.
-LONGEST = 24
+LONGEST_TEXT = 24
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,7 +225,7 @@ def _hertz(value: float) -> str:
 
 
 def _cut(text: str) -> str:
-    return text if len(text) <= LONGEST else f"{text[: LONGEST - 1]}…"
+    return text if len(text) <= LONGEST_TEXT else f"{text[: LONGEST_TEXT - 1]}…"
 
 
 def _aligned(rows: Sequence[Sequence[str]], plain: bool) -> list[str]:

@@ -18,8 +18,8 @@ from bayeq.arrays import Floats
 from bayeq.inspection.channels import ChannelInfo
 from bayeq.records import Record
 from bayeq.records.consistency import Frames, Relation, derivative_name, relate, uniform_frames
+from bayeq.records.names import derivative_ratio
 from bayeq.records.record import with_samples
-from bayeq.records.units import derivative_ratio
 
 # Channels are compared on at most this many rows, the middle ones. A faster record is first averaged over blocks of
 # rows, as many as leave this many to a period of the fastest channel: a block mean is a filter, alike for all channels,

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 from bayeq.inspection.links import CLEARLY, Link
-from bayeq.records.units import in_si, parse_unit
+from bayeq.records.names import in_si, parse_unit
 
 # What a channel is: the derivative of its coordinate, 0 to 2, or an input, a reference, a state of first order.
 INPUT, REFERENCE, STATE = -1, -2, -3

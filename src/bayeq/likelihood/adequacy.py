@@ -16,13 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.arrays import Floats
-from bayeq.likelihood.filter import run_filter
+from bayeq.likelihood.filter import Filtered, run_filter
 from bayeq.likelihood.fit import State, adjoints, maximised, of_inputs
 from bayeq.likelihood.levels import Levels
 from bayeq.likelihood.model import Fitted, Task
-from bayeq.likelihood.settings import LIKELIHOOD
-from bayeq.numerics.beta import incomplete_beta
-from bayeq.numerics.normal import Z95, Shape, shape_of
+from bayeq.numerics.distributions import Z95, Shape, incomplete_beta, shape_of
+from bayeq.numerics.settings import LIKELIHOOD
 
 # Memories of a discrepancy between which its test is followed.
 MEMORIES = 33
@@ -344,3 +343,40 @@ def _main_octave(pieces: Sequence[Floats], interval: float) -> tuple[float, floa
     k = int(np.argmax(np.bincount(below, weights=power, minlength=1)))
     highest = 0.5 / interval
     return highest * 0.5 ** (k + 1), highest * 0.5**k
+
+
+def power_of(task: Task, fitted: Fitted) -> float:
+    """The power, 1 where innovations look independent."""
+    if not len(fitted.state.theta):
+        return 1.0
+    found = task.marginal(fitted.state)
+    root = np.linalg.cholesky(found.covariance)
+    excess, error = excess_of([_scores(one, found.delta) @ root for one in found.filtered])
+    return 1.0 / excess if excess > 1.0 + LIKELIHOOD.correlated_by * error else 1.0
+
+
+def _scores(filtered: Filtered, delta: Floats) -> Floats:
+    """Derivatives of the log likelihood of every sample by the coefficients, (n, r)."""
+    known = filtered.variance > 0.0
+    sd = np.sqrt(np.where(known, filtered.variance, 1.0))[..., None]
+    standard = np.where(known[..., None], filtered.innovation / sd, 0.0)
+    left = standard[..., 0] - standard[..., 1:] @ delta
+    return np.asarray(np.einsum("tk,tki->ti", left, standard[..., 1:]))
+
+
+def excess_of(scores: Sequence[Floats]) -> tuple[float, float]:
+    """tr(J)/r of scores whose stated covariance is the identity, and its standard error were they independent.
+
+    Parameters
+    ----------
+    scores : sequence of (n, r) arrays
+        Of uninterrupted pieces.
+    """
+    r, longest = scores[0].shape[1], max(map(len, scores))
+    excess, square, lag = sum(float(np.sum(one**2)) for one in scores) / r, 0.0, 0
+    while lag < min(LIKELIHOOD.correlated_lags * excess, longest - 1):
+        lag += 1
+        products = [np.einsum("ti,ti->t", one[lag:], one[:-lag]) for one in scores if len(one) > lag]
+        excess += 2.0 / r * sum(float(p.sum()) for p in products)
+        square += (2.0 / r) ** 2 * sum(float(p @ p) for p in products)
+    return excess, float(np.sqrt(square))

@@ -21,8 +21,8 @@ from bayeq.likelihood.linear import Linear
 from bayeq.likelihood.low_pass import SEGMENT, of_segments, periodograms
 from bayeq.likelihood.model import Task
 from bayeq.likelihood.projection import LEAST_ROWS, batched, time_around
-from bayeq.likelihood.settings import LIKELIHOOD
 from bayeq.likelihood.start import series_and_paths, with_spectra
+from bayeq.numerics.settings import LIKELIHOOD
 from bayeq.states import MotionRows
 
 # Steps of the path at most, and the deviation, in standard deviations of a state, that ends them.

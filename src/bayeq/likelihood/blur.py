@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from bayeq.arrays import Bools, Floats
 from bayeq.expressions import Call, Evaluator, Expression
 from bayeq.likelihood.layout import NOTHING, Candidates, Layout, Series
-from bayeq.likelihood.settings import LIKELIHOOD
 from bayeq.likelihood.signs import SLOPE, half_of_jump, middle_of_jump, unresolved_share
+from bayeq.numerics.settings import LIKELIHOOD
 
 # Variance of a uniform distribution over an interval of length 1.
 UNIFORM = 1.0 / 12.0

@@ -9,8 +9,8 @@ import numpy as np
 from bayeq.likelihood.fit import State, of_inputs
 from bayeq.likelihood.model import FLAT, Fitted, Task, calmed, finished, fit, of_motion
 from bayeq.likelihood.search import CLEARLY, on_the_way
-from bayeq.likelihood.settings import LIKELIHOOD
 from bayeq.likelihood.start import with_courses
+from bayeq.numerics.settings import LIKELIHOOD
 from bayeq.states import Motion
 
 

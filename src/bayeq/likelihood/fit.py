@@ -15,8 +15,8 @@ from bayeq.likelihood.filter import Filtered, run_filter
 from bayeq.likelihood.layout import NOTHING, Candidates, Layout, Series, Stated
 from bayeq.likelihood.levels import Levels
 from bayeq.likelihood.linear import Linear, derivatives_along, linearise, targets_along, terms_at
-from bayeq.likelihood.settings import LIKELIHOOD
 from bayeq.numerics.minimise import minimise
+from bayeq.numerics.settings import LIKELIHOOD
 
 # Intervals between sizes of a discrepancy beside the likeliest are halved, at most this often.
 MOST_HALVED = 8

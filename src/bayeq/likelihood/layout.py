@@ -103,7 +103,7 @@ class Layout:
     terms : tuple of Expression
         The P candidate terms, the same for every equation.
     gains : tuple of (K+1,) arrays
-        Of each chain, see `bayeq.states.unit_gains`.
+        Of each chain, see `bayeq.states.sensors`.
     smoothness : tuple of int
         Number of derivatives of each input that are states: it is low-passed noise, see `bayeq.likelihood.low_pass`. 0
         stands for a sequence of independent samples joined by straight lines, whose slope is a state all the same.

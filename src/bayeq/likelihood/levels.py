@@ -15,7 +15,7 @@ from bayeq.likelihood.adjoint import Adjoint
 from bayeq.likelihood.filter import Noise
 from bayeq.likelihood.layout import Layout
 from bayeq.likelihood.linear import Linear
-from bayeq.likelihood.settings import LIKELIHOOD
+from bayeq.numerics.settings import LIKELIHOOD
 
 # Bounds: of noise and discrepancy as shares of the variance of channel and target, and of what the course of an input
 # errs by, as a share of what it bends.

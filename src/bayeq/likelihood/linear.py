@@ -12,8 +12,8 @@ from bayeq.arrays import Floats, Ints
 from bayeq.dictionary import evaluate_terms
 from bayeq.likelihood.blur import Blur, Hold, crossings, first_blur
 from bayeq.likelihood.layout import Candidates, Layout, Series
-from bayeq.likelihood.settings import LIKELIHOOD
 from bayeq.likelihood.steps import Steps, add_derivatives, arrays, integrate
+from bayeq.numerics.settings import LIKELIHOOD
 from bayeq.numerics.spline import spline_slopes
 
 

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from bayeq.arrays import Bools, Floats
 from bayeq.gram import Gram
-from bayeq.inference.collapsed.conditional import exact_posterior
 from bayeq.inference.collapsed.problem import Problem
+from bayeq.inference.collapsed.slab import exact_posterior
 from bayeq.inference.prior import Prior
 from bayeq.likelihood.fit import (
     Quadratic,
@@ -30,10 +30,10 @@ from bayeq.likelihood.fit import (
     over_sizes,
     solved,
 )
-from bayeq.likelihood.flows import Flows
 from bayeq.likelihood.layout import Candidates, Layout, Series
 from bayeq.likelihood.linear import Linear
-from bayeq.likelihood.settings import LIKELIHOOD
+from bayeq.likelihood.steps import Flows
+from bayeq.numerics.settings import LIKELIHOOD
 
 # Gauss-Newton steps about a model that is on the way.
 STEPS = 2
@@ -230,7 +230,7 @@ class Fitted:
     tried : dict of bytes to float
         Evidence of the models that were fitted to be compared.
     power : float
-        That `quadratic` is raised to (`bayeq.likelihood.power`).
+        That `quadratic` is raised to (`bayeq.likelihood.adequacy`).
     """
 
     model: Bools

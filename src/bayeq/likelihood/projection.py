@@ -15,7 +15,7 @@ import numpy as np
 
 from bayeq.arrays import Floats
 from bayeq.likelihood.fit import solved
-from bayeq.likelihood.settings import LIKELIHOOD
+from bayeq.numerics.settings import LIKELIHOOD
 
 # A batch has this many rows at least; from fewer batches no variance is estimated.
 LEAST_ROWS, LEAST_BATCHES = 8, 4

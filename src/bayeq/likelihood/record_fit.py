@@ -17,7 +17,7 @@ from bayeq.expressions import Expression
 from bayeq.gram import Gram, Standardised
 from bayeq.inference.collapsed.search import scores_of
 from bayeq.inference.posterior import Posterior
-from bayeq.likelihood.adequacy import Adequacy, adequacy_of
+from bayeq.likelihood.adequacy import Adequacy, adequacy_of, power_of
 from bayeq.likelihood.block import Block, at_its_path
 from bayeq.likelihood.courses import with_other_inputs
 from bayeq.likelihood.fit import Quadratic, State, candidates, of_stated, solved
@@ -26,15 +26,13 @@ from bayeq.likelihood.lags import lags_of
 from bayeq.likelihood.layout import Stated
 from bayeq.likelihood.levels import LEAST_NOISE
 from bayeq.likelihood.model import Fitted, Task, finished, fit, from_all_levels, of_motion, with_model
-from bayeq.likelihood.neighbours import among_neighbours
-from bayeq.likelihood.power import power_of
 from bayeq.likelihood.projection import Leftover, leftover
 from bayeq.likelihood.search import from_starts, resumed, search
-from bayeq.likelihood.settings import LIKELIHOOD
-from bayeq.likelihood.spike import Nearly, Soft, among_fitted, averaged, of_gram, soft_of
+from bayeq.likelihood.spike import Nearly, Soft, among_fitted, among_neighbours, averaged, of_gram, soft_of
 from bayeq.likelihood.start import carried_over, series_and_paths, start_from
 from bayeq.likelihood.unequal import with_unequal_noise
 from bayeq.likelihood.unknowns import first_members, joint_covariance, settled, with_constants
+from bayeq.numerics.settings import LIKELIHOOD
 from bayeq.ode.rk4 import Interpolation
 from bayeq.states import Lag, Motion, with_paths
 

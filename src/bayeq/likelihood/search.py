@@ -5,7 +5,7 @@
 2. `bayeq.likelihood.courses.with_other_inputs`: other courses of the inputs between samples are tried.
 3. `from_all_levels` fits the model.
 4. `resumed`: what was found on some rows is fitted to all, in rounds as in 1.
-5. `bayeq.likelihood.neighbours`: flips and swaps of single terms, each compared by the evidence of its own fit.
+5. `bayeq.likelihood.spike`: flips and swaps of single terms, each compared by the evidence of its own fit.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from bayeq.likelihood.model import (
     with_model,
     with_small_discrepancy,
 )
-from bayeq.likelihood.settings import LIKELIHOOD
+from bayeq.numerics.settings import LIKELIHOOD
 
 # Linearisations until the support stays.
 ROUNDS = 8

@@ -23,7 +23,7 @@ from bayeq.expressions import Expression, parse
 from bayeq.gram import Gram
 from bayeq.inference.bma import average_models, spike_slab_bma
 from bayeq.inference.collapsed.listing import ModelSet
-from bayeq.inference.collapsed.search import best_models, scores_of
+from bayeq.inference.collapsed.search import best_models, neighbours, scores_of
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.adjoint import Adjoint
 from bayeq.likelihood.fit import (
@@ -38,9 +38,10 @@ from bayeq.likelihood.fit import (
     solved,
 )
 from bayeq.likelihood.layout import Candidates, Layout
-from bayeq.likelihood.model import Fitted, Task
-from bayeq.likelihood.settings import LIKELIHOOD
-from bayeq.likelihood.unknowns import tangents_of
+from bayeq.likelihood.model import Fitted, Task, calmed, fit, over_all_sizes, with_model
+from bayeq.likelihood.search import MOST_TO_MOVE
+from bayeq.likelihood.unknowns import moved, tangents_of
+from bayeq.numerics.settings import LIKELIHOOD
 
 Sizes = tuple[float, ...]
 
@@ -493,3 +494,42 @@ def _mixed(found: ModelSet, search: Soft, lines: dict[Sizes, float]) -> ModelSet
     weights = np.exp(evidence - np.logaddexp.reduce(evidence))
     left_out = float(weights @ [one.left_out for one in sets])
     return replace(_sorted(found, models[first], together), left_out=left_out)
+
+
+# Moves to a neighbour, at most.
+MOVES = 5
+
+
+def among_neighbours(task: Task, best: Fitted) -> tuple[Task, Fitted]:
+    """The model that single moves lead to, each compared by its own fit; with many samples the Gram suffices.
+
+    Constants inside terms are where each model has them likeliest.
+    """
+    if task.rows > MOST_TO_MOVE:
+        return task, best
+    constants = task.layout.has_constants
+    tried = {best.model.tobytes(): best.evidence}
+    for _ in range(MOVES):
+        better = task, best
+        soft = soft_of(task, best) if constants else None
+        q = best.quadratic if soft is None else soft.quadratic((0.0,) * task.layout.chains)[0]
+        chosen = task.narrow(best.model)
+        moves = neighbours(task.problem(q), chosen, LIKELIHOOD.neighbour_window)
+        for move in moves[: LIKELIHOOD.neighbours]:
+            model = task.wide(move.apply(chosen))
+            if model.tobytes() in tried:
+                continue
+            try:
+                fitted = over_all_sizes(task, fit(task, calmed(with_model(task, best, model))), best)
+            except np.linalg.LinAlgError:
+                continue
+            other = moved(task, fitted) if constants else (task, fitted)
+            other = max((task, fitted), other, key=lambda pair: pair[1].evidence)
+            tried[model.tobytes()] = other[1].evidence
+            better = max(better, other, key=lambda pair: pair[1].evidence)
+        if better[1] is best:
+            break
+        task, best = better
+    best.tried.update(tried)
+    task.recent.clear()
+    return task, best

@@ -14,19 +14,18 @@ from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
 from bayeq.expressions import Expression
 from bayeq.gram import Gram
-from bayeq.inference.collapsed.conditional import exact_posterior
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import best_models
-from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
+from bayeq.inference.collapsed.slab import exact_posterior, learn_slab_variance, residual_scale
 from bayeq.inference.prior import Prior
 from bayeq.likelihood.fit import State, adjoints, linearised, maximised
-from bayeq.likelihood.flows import Flows
 from bayeq.likelihood.layout import NOTHING, Candidates, Course, Layout, Series, Stated
 from bayeq.likelihood.levels import LEAST_COURSE, LEAST_NOISE, Levels, Scales
 from bayeq.likelihood.low_pass import Spectrum, mean_spectrum, spectrum_of, step_variance
 from bayeq.likelihood.model import Fitted, Task
-from bayeq.likelihood.settings import LIKELIHOOD
+from bayeq.likelihood.steps import Flows
 from bayeq.likelihood.unequal import in_proportion
+from bayeq.numerics.settings import LIKELIHOOD
 from bayeq.ode.rk4 import interpolant, with_time
 from bayeq.states import Motion, MotionRows, Roles
 

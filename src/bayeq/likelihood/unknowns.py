@@ -36,8 +36,8 @@ from bayeq.dictionary.ranges import (
     to_scale,
 )
 from bayeq.expressions import Binary, Expression, Node, Unknown, number
-from bayeq.inference.collapsed.conditional import exact_posterior
 from bayeq.inference.collapsed.search import best_models, scores_of
+from bayeq.inference.collapsed.slab import exact_posterior
 from bayeq.likelihood.fit import (
     Quadratic,
     State,
@@ -52,7 +52,7 @@ from bayeq.likelihood.layout import Candidates, Layout
 from bayeq.likelihood.model import COARSE, MOST_HALVED, Fitted, Task, calmed, finished, fit, over_all_sizes
 from bayeq.likelihood.search import settle
 from bayeq.likelihood.start import precision_of_terms
-from bayeq.numerics.normal import Z95
+from bayeq.numerics.distributions import Z95
 from bayeq.states import Motion
 
 # Smoothed rows in which values are sought, at most, where no term is a wave.

@@ -14,7 +14,7 @@ import numpy as np
 
 from bayeq.arrays import Floats
 from bayeq.errors import InputError
-from bayeq.expressions.tape import IndexArray, Program, run_tape
+from bayeq.expressions.evaluate import IndexArray, Program, run_tape
 from bayeq.kernels import kernel
 from bayeq.numerics.spline import spline_slopes
 

@@ -1,20 +1,288 @@
-"""Designs that a plan compares, a kind of excitation and a band each, and motion under them within limits."""
+"""Designs that a plan compares, a kind of excitation and a band each, and the conditions that they are run under."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayeq.arrays import Floats
-from bayeq.errors import InputError
+from bayeq.errors import InputError, UnknownNameError
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import ANYWHERE, mean_run, state_range
+from bayeq.numerics.settings import PLAN
 from bayeq.ode.rk4 import Drive, interpolant, slope_at
-from bayeq.plan.conditions import Conditions
-from bayeq.plan.excitations import EXCITATIONS, lines_within
+from bayeq.records import Record
+
+Band = tuple[float, float]
+
+# A line at the end of a band belongs to it, in spite of rounding.
+ROUNDING = 1e-9
+
+# The spectrum of a sweep of B Hz in T s falls off over some sqrt(B/T) beyond its ends. The sweep stays this multiple of
+# that off the ends of the band: of 6000 bands at least 96 % of the power was inside for B T above 20, 93 % above 10.
+INSET = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Excitation:
+    """A row of the table."""
+
+    title: str  # what it is, with its article
+    # ``samples(n, fs, band, rng)``: n samples at fs [Hz] with their power within ``(lo, hi)`` [Hz], the largest
+    # magnitude 1. What is random in it comes from the generator.
+    samples: Callable[[int, float, Band, np.random.Generator], Floats]
+
+
+def lines_within(n: int, fs: float, band: Band, odd: bool = False) -> NDArray[np.intp]:
+    """Multiples of fs/n within a band, above 0 and below fs/2, or the odd ones alone; InputError if there are none."""
+    line = np.arange(1, (n + 1) // 2)
+    frequency = line * fs / n
+    inside = (frequency >= band[0] * (1.0 - ROUNDING)) & (frequency <= band[1] * (1.0 + ROUNDING))
+    if odd:
+        inside &= line % 2 == 1
+    if not inside.any():
+        raise InputError(
+            f"no spectral line of {n / fs:g} s lies between {band[0]:g} and {band[1]:g} Hz: widen the band, or excite"
+            " for longer"
+        )
+    return np.asarray(line[inside], dtype=np.intp)
+
+
+def _synthesised(n: int, lines: NDArray[np.intp], amplitudes: NDArray[np.complex128]) -> Floats:
+    """One period of a sum of lines with these complex amplitudes, the largest magnitude 1."""
+    spectrum = np.zeros(n // 2 + 1, dtype=np.complex128)
+    spectrum[lines] = amplitudes
+    return _normalised(np.fft.irfft(spectrum, n))
+
+
+def _normalised(samples: Floats) -> Floats:
+    """Samples with the largest magnitude 1."""
+    return samples / np.abs(samples).max()
+
+
+def noise(n: int, fs: float, band: Band, rng: np.random.Generator) -> Floats:
+    """One period of noise: all lines of the band, with independent complex normal amplitudes."""
+    lines = lines_within(n, fs, band)
+    return _synthesised(n, lines, rng.standard_normal(len(lines)) + 1j * rng.standard_normal(len(lines)))
+
+
+def multisine(n: int, fs: float, band: Band, rng: np.random.Generator) -> Floats:
+    """One period of the odd lines of the band, of equal amplitude and random phase.
+
+    Pintelon and Schoukens 2012, section 5.2.
+    """
+    lines = lines_within(n, fs, band, odd=True)
+    return _synthesised(n, lines, np.exp(2j * np.pi * rng.random(len(lines))))
+
+
+def sweep(n: int, fs: float, band: Band, rng: np.random.Generator) -> Floats:
+    """One linear sweep (chirp) from end to end of the band; its direction and its first phase are drawn."""
+    seconds = n / fs
+    lines_within(n, fs, band)
+    low, high = band[0], min(band[1], 0.5 * fs)
+    inset = min(INSET * math.sqrt((high - low) / seconds), 0.25 * (high - low))
+    # below frequency 0 there is nothing to fall off to
+    start, end = low + inset if low > 0.0 else low, high - inset
+    if rng.random() < 0.5:
+        start, end = end, start
+    time = np.arange(n) / fs
+    phase = start * time + 0.5 * (end - start) / seconds * time**2
+    return _normalised(np.sin(2.0 * np.pi * (phase + rng.random())))
+
+
+EXCITATIONS: dict[str, Excitation] = {
+    "noise": Excitation("band-limited Gaussian noise", noise),
+    "sweep": Excitation("a linear sweep", sweep),
+    "multisine": Excitation("an odd random-phase multisine", multisine),
+}
+
+Amplitude = float | tuple[float, float]
+
+# A plan is made for this many samples by default: longer ones take longer to simulate and rank the same.
+SAMPLES = 4000
+
+# Fewer samples than this are no spectrum.
+LEAST_SAMPLES = 16
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """Records as a plan needs them: rate [Hz], None without time, and length [s] of the longest one.
+
+    Also the least and largest sample of every channel, and the band where the power of every input is [Hz].
+    """
+
+    fs: float | None = None
+    seconds: float | None = None
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    bands: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, records: Sequence[Record], channels: Sequence[str], inputs: Sequence[str]) -> Self:
+        """Of records that have these channels."""
+        longest = max(records, key=lambda record: record.n)
+        fs = longest.fs
+        ranges = {}
+        for name in (*channels, *inputs):
+            samples = np.concatenate([record[name] for record in records])
+            if np.isfinite(samples).any():
+                ranges[name] = float(np.nanmin(samples)), float(np.nanmax(samples))
+        bands = {} if fs is None else {name: found for name in inputs if (found := band_of(longest[name], fs))}
+        return cls(fs, None if fs is None else longest.n / fs, ranges, bands)
+
+
+def band_of(samples: NDArray[np.float64], fs: float) -> tuple[float, float] | None:
+    """Frequencies [Hz] between which the power of a signal is; None of a constant.
+
+    Examples
+    --------
+    >>> time = np.arange(1000) / 100
+    >>> low, high = band_of(np.sin(2 * np.pi * 3 * time) + np.sin(2 * np.pi * 7 * time), fs=100)
+    >>> round(low, 6), round(high, 6)
+    (3.0, 7.0)
+    """
+    known = np.isfinite(samples)
+    if not known.any():
+        return None
+    centred = np.where(known, samples - samples[known].mean(), 0.0)
+    power = np.abs(np.fft.rfft(centred)) ** 2
+    power[0] = 0.0
+    if power.sum() <= 0.0:
+        return None
+    share = np.cumsum(power) / power.sum()
+    # the first line from which on more than a share has passed, and the one that completes all but one
+    low, high = np.searchsorted(share, (PLAN.power_below, 1.0 - PLAN.power_above))
+    return float(low * fs / len(samples)), float(high * fs / len(samples))
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What may be done, and what is known.
+
+    Middle and half width of the range of each of the m inputs, band and rate [Hz], samples, standard deviation of the
+    noise of every target, largest magnitude of states, and ranges of the channels of the record.
+    """
+
+    offset: Floats
+    reach: Floats
+    band: tuple[float, float]
+    n: int
+    fs: float
+    noise: tuple[float, ...]
+    limits: Mapping[str, float]
+    ranges: Mapping[str, tuple[float, float]]
+
+    @property
+    def seconds(self) -> float:
+        """Length of the measurement."""
+        return self.n / self.fs
+
+
+def conditions_of(
+    measured: Measured,
+    states: Sequence[str],
+    inputs: Sequence[str],
+    noise: Mapping[str, float],
+    *,
+    amplitude: Amplitude | Mapping[str, Amplitude] | None,
+    band: tuple[float, float] | None,
+    seconds: float | None,
+    fs: float | None,
+    given_noise: Mapping[str, float],
+    limits: Mapping[str, float],
+) -> Conditions:
+    """What was asked for, as for `bayeq.Equations.plan`, and the rest from the record; `noise` is that of every target.
+
+    InputError for names that are not there, numbers out of range, or something that neither was given nor is known.
+    """
+    rate = _positive("fs", fs if fs is not None else _known(measured.fs, "the sampling rate", "fs"))
+    length = seconds
+    if length is None:
+        length = min(_known(measured.seconds, "the length of the record", "seconds"), SAMPLES / rate)
+    n = round(_positive("seconds", length) * rate)
+    if n < LEAST_SAMPLES:
+        raise InputError(f"{length:g} s at {rate:g} Hz are {n} samples: at least {LEAST_SAMPLES} are needed")
+    spans = [_span(name, amplitude, measured, inputs) for name in inputs]
+    for name in given_noise:
+        if name not in noise:
+            raise UnknownNameError("target", name, noise, "noise")
+    for name in limits:
+        if name not in states:
+            raise UnknownNameError("state", name, states, "limit")
+    sds = {name: _positive(f"noise of {name}", given_noise.get(name, sd)) for name, sd in noise.items()}
+    return Conditions(
+        offset=np.array([0.5 * (low + high) for low, high in spans]),
+        reach=np.array([0.5 * (high - low) for low, high in spans]),
+        band=_band(band, measured, inputs, rate),
+        n=n,
+        fs=rate,
+        noise=tuple(sds.values()),
+        limits={name: _positive(f"limit of {name}", limit) for name, limit in limits.items()},
+        ranges=measured.ranges,
+    )
+
+
+def _positive(what: str, value: float) -> float:
+    if not (math.isfinite(value) and value > 0):
+        raise InputError(f"{what} must be a positive number, not {value!r}")
+    return float(value)
+
+
+def _known(value: float | None, what: str, argument: str) -> float:
+    if value is None:
+        raise InputError(f"{what} is not known from the record: give {argument}")
+    return value
+
+
+def _span(
+    name: str, amplitude: Amplitude | Mapping[str, Amplitude] | None, measured: Measured, inputs: Sequence[str]
+) -> tuple[float, float]:
+    """The range of an input: that given, else that of the record."""
+    if isinstance(amplitude, Mapping):
+        for key in amplitude:
+            if key not in inputs:
+                raise UnknownNameError("input", key, inputs, "amplitude")
+        amplitude = amplitude.get(name)
+    if amplitude is None:
+        if name not in measured.ranges:
+            raise InputError(f"the range of {name} is not known from the record: give amplitude")
+        low, high = measured.ranges[name]
+        least, most = sorted((-low, high))
+        if least > PLAN.signed * most:  # of both signs: as far as both go
+            low, high = -least, least
+    elif isinstance(amplitude, (int, float)):
+        high = _positive(f"amplitude of {name}", amplitude)
+        low = -high
+    else:
+        low, high = amplitude
+    if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        raise InputError(
+            f"amplitude of {name}: {low:g} to {high:g} is no range; give a positive number, or low and high"
+        )
+    return low, high
+
+
+def _band(
+    band: tuple[float, float] | None, measured: Measured, inputs: Sequence[str], fs: float
+) -> tuple[float, float]:
+    if band is None:
+        found = [measured.bands[name] for name in inputs if name in measured.bands]
+        if not found:
+            raise InputError("the band of the input is not known from the record: give band")
+        return min(low for low, _ in found), min(max(high for _, high in found), 0.5 * fs)
+    low, high = band
+    if not (math.isfinite(low) and math.isfinite(high) and 0 <= low < high):
+        raise InputError(f"band {low:g} to {high:g} Hz: give two frequencies, the lower one first")
+    if high > 0.5 * fs:
+        raise InputError(f"band {low:g} to {high:g} Hz: beyond half the sampling rate ({0.5 * fs:g} Hz)")
+    return float(low), float(high)
+
 
 # Amplitudes, as shares of the range allowed: where the range is the best amplitude, the half says by how much.
 SHARES = (1.0, 0.5)

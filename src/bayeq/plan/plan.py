@@ -12,15 +12,13 @@ import numpy as np
 from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
 from bayeq.errors import InputError, whole_number
-from bayeq.figures.picture import EquationLike
+from bayeq.figures.style import EquationLike
 from bayeq.forecast.dynamics import Dynamics, Law
 from bayeq.inference.posterior import Posterior
-from bayeq.plan.conditions import Conditions
-from bayeq.plan.designs import SHARES, Design, Motions, designs_for, largest_share, shapes
-from bayeq.plan.information import coefficient_gain, seconds_to_halve, seconds_until, unexplained
-from bayeq.plan.models import CandidateModel
+from bayeq.numerics.settings import PLAN
+from bayeq.plan.designs import SHARES, Conditions, Design, Motions, designs_for, largest_share, shapes
+from bayeq.plan.information import CandidateModel, coefficient_gain, seconds_to_halve, seconds_until, unexplained
 from bayeq.plan.result import Compared, Outcome, Plan, Separation
-from bayeq.plan.settings import PLAN
 from bayeq.resumable import Progress
 
 

@@ -15,8 +15,7 @@ import numpy as np
 from bayeq.arrays import Floats
 from bayeq.figures.style import BLACK, BLUE, FULL_WIDTH, ORANGE, RED, log_ticks, new_figure, picture
 from bayeq.markup import printed, text_console
-from bayeq.plan.designs import Design
-from bayeq.plan.excitations import EXCITATIONS
+from bayeq.plan.designs import EXCITATIONS, Design
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -251,7 +250,7 @@ class Plan:
         """
         import pandas as pd
 
-        from bayeq.records.files import replacing
+        from bayeq.records.io import replacing
 
         with replacing(Path(file)) as part:
             pd.DataFrame({"time": self.time, **self.inputs}).to_csv(part, index=False)

@@ -9,7 +9,7 @@ from bayeq.records.formats import FORMATS, Format
 from bayeq.records.io import as_record, as_records, read, write
 from bayeq.records.join import join
 from bayeq.records.names import RESERVED, clean_name, clean_names
-from bayeq.records.record import Record
+from bayeq.records.record import Record, Truth
 from bayeq.records.repair import (
     SAMPLES,
     UNKNOWN_TIME,
@@ -19,7 +19,6 @@ from bayeq.records.repair import (
     split_at_gaps,
     with_row_numbers,
 )
-from bayeq.records.truth import Truth
 
 __all__ = [
     "FORMATS", "RESERVED", "SAMPLES", "UNKNOWN_TIME", "Finding", "Format", "Record", "Truth", "as_record",

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bayeq.arrays import Complexes, Floats, Ints
-from bayeq.records.settings import RECORDS
+from bayeq.numerics.settings import RECORDS
 
 TINY = float(np.finfo(np.float64).tiny)
 

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.arrays import Bools, Floats
+from bayeq.numerics.settings import RECORDS
 from bayeq.records.consistency import Frames, Relation, derivative_name, relate, shift_of, uniform_frames
+from bayeq.records.names import derivative_ratio
 from bayeq.records.record import Record
 from bayeq.records.repair import counts_rows
-from bayeq.records.settings import RECORDS
-from bayeq.records.units import derivative_ratio
 
 # Gains that are mistakes of units, and how near a measured one must come.
 UNIT_GAINS = (

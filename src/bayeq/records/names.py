@@ -1,4 +1,4 @@
-"""``clean_name``: column headers as people write them, to channel names that terms can use.
+"""Column headers as people write them: ``clean_name`` for names that terms can use, and units as text.
 
 A channel name appears in terms (``x**2*v``), so that it must be a Python identifier and must not hide a
 function or a constant of the term language. The original header still finds its column.
@@ -6,10 +6,15 @@ function or a constant of the term language. The original header still finds its
 
 from __future__ import annotations
 
+import difflib
 import keyword
+import math
 import re
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from fractions import Fraction
+
+from bayeq.errors import InputError
 
 #: Names that a channel cannot have: functions and constants of terms.
 RESERVED: frozenset[str] = frozenset(
@@ -129,3 +134,170 @@ def time_unit(name: str) -> str | None:
     """
     match = _TIME_NAME.fullmatch(name.casefold())
     return match["unit"] if match else None
+
+
+# Exponents of symbols, in the order in which they occur.
+Unit = dict[str, Fraction]
+
+SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
+FACTOR = re.compile(r"\s*([*/·⋅ ]?)\s*(1(?![0-9])|[^\W\d_]+|[%°]+[^\W\d_]*)(?:(?:\^|\*\*)?(-?\d+))?")
+# A number, and a unit that begins with a letter, if any: "10 g", not "1/s".
+_GAIN = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*((?:[^\W\d_]|[%°]).*)?", re.DOTALL)
+DIMENSIONLESS = ("", "1", "-")
+
+#: Size of a symbol in metres, seconds and radians, and its dimension as powers of length and time.
+SIZES: Mapping[str, tuple[float, int, int]] = {
+    "m": (1.0, 1, 0), "mm": (1e-3, 1, 0), "cm": (1e-2, 1, 0), "um": (1e-6, 1, 0), "µm": (1e-6, 1, 0),
+    "μm": (1e-6, 1, 0), "nm": (1e-9, 1, 0), "km": (1e3, 1, 0), "in": (0.0254, 1, 0), "ft": (0.3048, 1, 0),
+    "rad": (1.0, 0, 0), "mrad": (1e-3, 0, 0), "deg": (math.pi / 180, 0, 0), "°": (math.pi / 180, 0, 0),
+    "rev": (2 * math.pi, 0, 0), "rpm": (2 * math.pi / 60, 0, -1), "s": (1.0, 0, 1), "sec": (1.0, 0, 1),
+    "ms": (1e-3, 0, 1), "min": (60.0, 0, 1), "h": (3600.0, 0, 1), "g": (9.80665, 1, -2),
+}  # fmt: skip
+
+#: Units of force in newtons.
+FORCES: Mapping[str, float] = {"N": 1.0, "kN": 1e3, "MN": 1e6, "mN": 1e-3, "uN": 1e-6, "lbf": 4.4482216152605}
+
+# Symbols that measurements are labelled with: these, and those of `SIZES`. Of the first with the usual prefixes.
+_WITH_PREFIXES = "m s N Nm Pa V A W J C T F Hz ohm Ohm Ω rad strain bar"
+_PREFIXES = " n u µ μ m c d k M G"
+_OTHERS = """
+    kg mg t lb lbf lbs oz kip slug psi ksi mi yd mil mph kph kn gn g0 K degC degF °C °F L l ml gal S mol cd lx lm dB
+    dBA % ppm ppb eps ue με µε count counts cts LSB bit bits FS px pixel pixels turn gon grad arcsec arcmin msec usec
+    d day days year years
+"""
+_KNOWN = frozenset(
+    {
+        *(prefix + base for base in _WITH_PREFIXES.split() for prefix in _PREFIXES.split(" ")),
+        *_OTHERS.split(),
+        *SIZES,
+        *FORCES,
+    }
+)
+
+
+def require_unit(text: str, where: str) -> None:
+    """Check that a unit is made of symbols that measurements are labelled with.
+
+    An InputError names what gave it, `where`, and offers the nearest symbols that are known.
+
+    Examples
+    --------
+    >>> require_unit("m/s^2", "--units a=m/s^2")
+    """
+    for symbol in parse_unit(text):
+        if symbol in _KNOWN:
+            continue
+        near = difflib.get_close_matches(symbol, sorted(_KNOWN), n=3, cutoff=0.5)
+        offered = f"; did you mean {' or '.join(near)}?" if near else "; write it as mm, m/s^2, g, kN or deg/s, say"
+        raise InputError(f"{where}: {symbol[:40]!r} is no unit that is known{offered}")
+
+
+def gain_and_unit(text: str, own: str | None = None) -> tuple[float, str | None]:
+    """A gain and the unit behind it; a number alone is the gain of a channel that keeps its `own` unit.
+
+    An InputError says that a gain is 0, or beyond floating point.
+
+    Examples
+    --------
+    >>> gain_and_unit("10 g"), gain_and_unit("-2.5", "mm"), gain_and_unit("m/s^2"), gain_and_unit("1")
+    ((10.0, 'g'), (-2.5, 'mm'), (1.0, 'm/s^2'), (1.0, '1'))
+    """
+    match = _GAIN.fullmatch(text) if isinstance(text, str) and text.strip() != "1" else None
+    if match is None:
+        return 1.0, text
+    gain = float(match[1])
+    if not (gain and math.isfinite(gain)):
+        raise InputError(f"unit {text[:60]!r}: a gain is a number other than 0, in front of the unit: 10g")
+    return gain, (match[2] or own)
+
+
+def conversion(stated: str, wanted: str) -> float | None:
+    """By what numbers in one unit are multiplied to be in another; None where that is not known.
+
+    Examples
+    --------
+    >>> conversion("mm", "m"), conversion("g", "m/s^2"), conversion("kN", "N"), conversion("m", "N")
+    (0.001, 9.80665, 1000.0, None)
+    """
+    found = in_si(multiply_units(parse_unit(stated), parse_unit(wanted), -1))
+    return None if found is None or found[1] else found[0]
+
+
+def parse_unit(text: str) -> Unit:
+    """Exponents of a unit's symbols; text that is no product of powers is a symbol itself.
+
+    Examples
+    --------
+    >>> {symbol: int(power) for symbol, power in parse_unit("m/s²").items()}
+    {'m': 1, 's': -2}
+    """
+    text = text.strip()
+    if text[:1] == "(" and text.find(")") == len(text) - 1:  # as in "x [(1)]"
+        text = text[1:-1].strip()
+    if text in DIMENSIONLESS:
+        return {}
+    out: Unit = {}
+    rest = re.sub(r"[⁰¹²³⁴⁵⁶⁷⁸⁹⁻]+", lambda found: found.group().translate(SUPERSCRIPTS), text)
+    while rest:
+        found = FACTOR.match(rest)
+        if found is None:
+            return {f"({text})": Fraction(1)}
+        operator, symbol, power = found.groups()
+        if symbol != "1":
+            multiply_units(out, {symbol: Fraction(int(power or 1)) * (-1 if operator == "/" else 1)})
+        rest = rest[found.end() :].rstrip()
+    return out
+
+
+def multiply_units(unit: Unit, other: Unit, power: Fraction | int = 1) -> Unit:
+    """`unit` times a power of the other, in place."""
+    for symbol, exponent in other.items():
+        total = unit.get(symbol, Fraction(0)) + power * exponent
+        if total:
+            unit[symbol] = total
+        else:
+            unit.pop(symbol, None)
+    return unit
+
+
+def derivative_ratio(below: str, above: str, order: int) -> float | None:
+    """How large a channel is against the derivative by seconds of another, for their units alone.
+
+    None where the units are not known, or not those of a motion (`below`) and its derivative (`above`) of this order.
+
+    Examples
+    --------
+    >>> derivative_ratio("mm", "m/s", 1), derivative_ratio("m", "m/s^2", 2), derivative_ratio("m", "N", 2)
+    (0.001, 1.0, None)
+    """
+    ratio = multiply_units(multiply_units(parse_unit(below), {"s": Fraction(-order)}), parse_unit(above), -1)
+    found = None if FORCES.keys() & ratio.keys() else in_si(ratio)
+    return None if found is None or found[1] else found[0]
+
+
+def in_si(unit: Unit) -> tuple[float, Unit] | None:
+    """Size of a unit in SI units, and those: N, m and s; angles are pure numbers. None where a symbol is not known."""
+    size, out = 1.0, Unit()
+    for symbol, power in unit.items():
+        if symbol in FORCES:
+            size *= FORCES[symbol] ** float(power)
+            multiply_units(out, {"N": power})
+        elif symbol in SIZES:
+            factor, length, time = SIZES[symbol]
+            size *= factor ** float(power)
+            multiply_units(out, {"m": length * power, "s": time * power})
+        else:
+            return None
+    return size, out
+
+
+def written_unit(unit: Unit) -> str:
+    """A unit as text, ``m/s^2``; ``1`` without symbols above the line."""
+    above = "*".join(symbol + _power(e) for symbol, e in unit.items() if e > 0)
+    return (above or "1") + "".join(f"/{symbol}{_power(-e)}" for symbol, e in unit.items() if e < 0)
+
+
+def _power(exponent: Fraction) -> str:
+    if exponent == 1:
+        return ""
+    return f"^{exponent}" if exponent.denominator == 1 else f"^({exponent})"

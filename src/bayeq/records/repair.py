@@ -10,8 +10,8 @@ import numpy as np
 
 from bayeq.arrays import Floats, Ints
 from bayeq.errors import InputError, RecordError
+from bayeq.numerics.settings import RECORDS
 from bayeq.records.record import Record, with_samples
-from bayeq.records.settings import RECORDS
 
 # The least level of this many bands of a spectrum is taken for white noise, which is no power of the signal. In more of
 # them, shorter ones, chance makes the least too low: noise of 20 % of the signal would count as motion.

@@ -11,11 +11,10 @@ from pathlib import Path
 from typing import Protocol
 
 from bayeq.errors import FileFormatError, InputError, RecordError
-from bayeq.records.assemble import assemble
-from bayeq.records.columns import STAR, Columns, Request
-from bayeq.records.files import FileState, require_unchanged, state_of
+from bayeq.records.columns import STAR, Columns, Request, assemble
 from bayeq.records.formats import FORMATS, format_of
 from bayeq.records.formats.protocol import FileRows, grid
+from bayeq.records.io import FileState, require_unchanged, state_of
 from bayeq.records.record import Record, with_only
 
 #: Files of more bytes together are streamed unasked.

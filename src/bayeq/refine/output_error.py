@@ -27,8 +27,8 @@ from bayeq.likelihood.fit import State, Statistics, adjoints, maximised, quadrat
 from bayeq.likelihood.layout import Candidates
 from bayeq.likelihood.model import Task, finer
 from bayeq.likelihood.start import start_of_runs
+from bayeq.numerics.settings import REFINE
 from bayeq.ode.rk4 import Interpolation
-from bayeq.refine.settings import REFINE
 from bayeq.regression.constraints import Constraints
 from bayeq.states import Motion
 
@@ -209,7 +209,7 @@ def _of_course(
     excess = max(_excess(*_sensitivity(free.found, known.basis)), 1.0)
     mean, spread = free.state.theta[known.free], excess * covariance
     if np.isfinite(known.limits).any():
-        from bayeq.inference.signs.orthant import truncated
+        from bayeq.inference.signs import truncated
 
         freedom = 0.5 * max(task.rows - len(A), 1.0)
         mean, spread = truncated(mean, covariance, known.limits, 2.0 * freedom * excess, freedom)

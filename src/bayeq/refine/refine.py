@@ -15,10 +15,10 @@ from bayeq.forecast.free_run import apart, typical_period, window_runs
 from bayeq.forecast.rows import Courses, Rows, divided, predicted_target, rows_of
 from bayeq.forecast.score import Scores, percentages, score_rows
 from bayeq.inference.posterior import Posterior
+from bayeq.numerics.settings import REFINE
 from bayeq.ode.rk4 import Interpolation
 from bayeq.records import Record
 from bayeq.refine.output_error import Known, OutputError, Unrefined, output_error
-from bayeq.refine.settings import REFINE
 from bayeq.regression.constraints import Constraints
 from bayeq.regression.residuals import Fit, Residuals, inspect_residuals
 from bayeq.states import Sensors, Smooth, estimate_motion

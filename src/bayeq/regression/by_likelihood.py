@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
 from bayeq.arrays import Floats
+from bayeq.dictionary import evaluate_terms
 from bayeq.dictionary.ranges import ConstantEstimate, Forms
+from bayeq.expressions import Expression
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.adequacy import Discrepancy, Octave
+from bayeq.likelihood.fit import solved
 from bayeq.likelihood.projection import projected
 from bayeq.likelihood.record_fit import RecordFit
-from bayeq.numerics.normal import Shape
+from bayeq.numerics.distributions import Shape
+from bayeq.numerics.settings import REGRESSION
 from bayeq.regression.design import Design
 from bayeq.regression.regression import Regression, judged_by
+from bayeq.states.kinematic.fit import lowest_level
+from bayeq.states.sensors import scaled_with
 
 # Degrees of freedom of an interval, at least, by Satterthwaite: of few batches a variance is hardly known.
 LEAST_FREEDOM = 3.0
@@ -173,3 +180,144 @@ def _with_constant(found: Posterior, theta: Floats, both: Floats) -> Posterior:
     mean = float(theta[r] + center @ found.coef)
     variance = max(float(both[r, r] - center[kept] @ both[:r, :r] @ center[kept]), 0.0)
     return replace(found, center=center, target_mean=mean, target_mean_variance=variance)
+
+
+# Half of the step of central differences, as a share of what is changed: their error is about its square.
+STEP = 1e-4
+
+# An input of which more than this share of the samples repeats the one before is a command, not a measurement.
+REPEATED = 0.1
+
+
+def calibrated(regression: Regression, posterior: Posterior, basis: Floats) -> Posterior:
+    """The posterior with the uncertainty of the sensors' calibration in its covariances.
+
+    Factors of channels are independent with mean 1. With another factor of a channel the coefficients that explain the
+    same motion are others: to first order their change is the regression, on the terms, of what the factor changes of
+    the target and of the terms.
+
+    Parameters
+    ----------
+    regression : Regression
+        Its training rows are the motion.
+    posterior : Posterior
+        In original units, r terms in its support.
+    basis : (r, f) array
+        How the coefficients move with those that are free; the identity where all are.
+    """
+    gain_sd, kept = regression.motion.sensors.gain_sd, np.flatnonzero(posterior.support)
+    if not gain_sd or not len(kept):
+        return posterior
+    added, constant = np.zeros((len(kept), len(kept))), 0.0
+    for channel, sd in gain_sd.items():
+        change, of_constant = _change_by_factor(regression, posterior, basis, channel)
+        added += sd**2 * np.outer(change, change)
+        constant += (sd * of_constant) ** 2
+    covariance = posterior.covariance + added
+    mean = posterior.target_mean_variance
+    if posterior.left_out_intercept is None:
+        # such that the intercept has the variance that it had, and that of its own change
+        center = posterior.center[kept]
+        mean = max(posterior.intercept_sd**2 + constant - float(center @ covariance @ center), 0.0)
+    averaged = posterior.averaged_sd
+    if averaged is not None:
+        averaged = averaged.copy()
+        averaged[kept] = np.sqrt(averaged[kept] ** 2 + posterior.pip[kept] * np.diagonal(added))
+    return replace(posterior, covariance=covariance, target_mean_variance=mean, averaged_sd=averaged)
+
+
+def _change_by_factor(
+    regression: Regression, posterior: Posterior, basis: Floats, channel: str
+) -> tuple[Floats, float]:
+    """Derivatives of the coefficients (r,) and of the intercept by a factor of a channel."""
+    motion = regression.motion
+    columns = scaled_with(motion.roles.chains, channel)
+    theta = posterior.coef[posterior.support]
+
+    def scaled(name: str, values: Floats, step: float) -> Floats:
+        return values * (1.0 + step) if name in columns else values
+
+    target = 1.0 if regression.chain.target in columns else 0.0
+    free = basis.shape[1]
+    products, moved = np.zeros((free + 1, free + 1)), np.zeros(free + 1)
+    for D, by_factor in _columns_and_derivatives(regression, posterior, scaled):
+        X = np.column_stack([D @ basis, np.ones(len(D))])
+        products += X.T @ X
+        moved += X.T @ (target * (D @ theta + posterior.intercept) - by_factor @ theta)
+    if posterior.left_out_intercept is not None:
+        return basis @ solved(products[:free, :free], moved[:free]), 0.0
+    change = solved(products, moved)
+    return basis @ change[:free], float(change[free])
+
+
+def inputs_of_hidden_noise(regression: Regression, posterior: Posterior) -> tuple[str, ...]:
+    """Inputs in the terms of a posterior whose noise was not given, nor known by the likelihood of the record."""
+    motion, terms = regression.motion, regression.design.terms
+    used = {name for j in np.flatnonzero(posterior.support) for name in terms[j].names}
+    inputs = [name for name in motion.roles.inputs if name in used and name not in motion.sensors.noise]
+    inputs = [name for name in inputs if _may_hide_noise([rows.columns[name] for rows in motion.train])]
+    return tuple(name for name in inputs if regression.hides_noise(name))
+
+
+def _may_hide_noise(pieces: Sequence[Floats]) -> bool:
+    """Whether white noise of `hidden_noise` could be in a channel: its spectrum is nowhere lower.
+
+    A command that is held, whose samples repeat, has none.
+    """
+    repeated = sum(int(np.count_nonzero(np.diff(values) == 0.0)) for values in pieces)
+    if repeated > REPEATED * sum(map(len, pieces)):
+        return False
+    levels = [lowest_level(np.arange(len(values), dtype=np.float64), values) for values in pieces if len(values) > 2]
+    return not levels or min(levels) > REGRESSION.hidden_noise**2 * float(np.var(np.concatenate(pieces)))
+
+
+def changes_by_noise(
+    regression: Regression, posterior: Posterior, name: str, shares: Sequence[float]
+) -> dict[str, tuple[float, ...]]:
+    """What noise of an input, as shares of its standard deviation, would have done to coefficients that neglect it.
+
+    Noise adds to the sums of squares of the terms that the input is in. Without that share of them the coefficients
+    would be others.
+
+    Returns
+    -------
+    dict of str to tuple of float
+        Of each term of the posterior with the input: the relative error of its coefficient at each share.
+    """
+    spread = float(np.std(np.concatenate([rows.columns[name] for rows in regression.motion.train])))
+
+    def shifted(column: str, values: Floats, step: float) -> Floats:
+        return values + step * spread if column == name else values
+
+    kept = np.flatnonzero(posterior.support)
+    products, added = np.zeros((len(kept) + 1,) * 2), np.zeros((len(kept) + 1,) * 2)
+    for D, by_noise in _columns_and_derivatives(regression, posterior, shifted):
+        X = np.column_stack([D, np.ones(len(D))])
+        products += X.T @ X
+        added[:-1, :-1] += by_noise.T @ by_noise
+    theta = np.append(posterior.coef[kept], posterior.intercept)
+    found = {}
+    for share in shares:
+        free_of_noise = solved(products - share**2 * added, products @ theta)
+        found[share] = theta[:-1] / free_of_noise[:-1] - 1.0
+    terms = [regression.design.terms[j] for j in kept]
+    return {
+        term.text: tuple(float(found[share][i]) for share in shares)
+        for i, term in enumerate(terms)
+        if name in term.names
+    }
+
+
+def _columns_and_derivatives(
+    regression: Regression, posterior: Posterior, changed: Callable[[str, Floats, float], Floats]
+) -> Iterator[tuple[Floats, Floats]]:
+    """Columns (n, r) of the posterior's terms on the training rows of each record, and their derivatives by a change of
+    the channels: `changed` gives a column after a step."""
+    terms: list[Expression] = [regression.design.terms[j] for j in np.flatnonzero(posterior.support)]
+
+    def evaluated(columns: Mapping[str, Floats], step: float) -> Floats:
+        return evaluate_terms(terms, {name: changed(name, values, step) for name, values in columns.items()})
+
+    for rows in regression.motion.train:
+        difference = evaluated(rows.columns, STEP) - evaluated(rows.columns, -STEP)
+        yield evaluate_terms(terms, rows.columns), difference / (2.0 * STEP)

@@ -12,8 +12,8 @@ from bayeq.arrays import Bools, Floats
 from bayeq.dictionary import Specification, of_equations
 from bayeq.dictionary.polynomial import degree
 from bayeq.errors import InputError
-from bayeq.inference.collapsed.conditional import exact_posterior
 from bayeq.inference.collapsed.problem import Problem
+from bayeq.inference.collapsed.slab import exact_posterior
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.posterior import ModelAverage, Posterior
 from bayeq.inference.prior import Prior
@@ -21,12 +21,12 @@ from bayeq.inference.vb import spike_slab_vb
 from bayeq.likelihood.hidden import seen_in
 from bayeq.likelihood.layout import Stated
 from bayeq.likelihood.record_fit import RecordFit, fit_record, learned_lags
+from bayeq.numerics.settings import REGRESSION
 from bayeq.regression.by_likelihood import RecordRegression
 from bayeq.regression.constraints import Constraints
 from bayeq.regression.design import Design
 from bayeq.regression.fit import RegressionFit, fit_regression
 from bayeq.regression.regression import Regression
-from bayeq.regression.settings import REGRESSION
 from bayeq.states import Lag
 
 # The ascent of variational Bayes, which gives the evidence lower bound, starts from this many of the best models.

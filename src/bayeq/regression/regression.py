@@ -17,11 +17,10 @@ from bayeq.gram import Gram
 from bayeq.gram.gram import grams_from_blocks
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.adequacy import Discrepancy, Octave
-from bayeq.numerics.normal import Shape
+from bayeq.numerics.distributions import Shape
+from bayeq.numerics.settings import REGRESSION
 from bayeq.regression.design import Design
-from bayeq.regression.residuals import Fit, Residuals, inspect_residuals
-from bayeq.regression.settings import REGRESSION
-from bayeq.regression.thinning import thinned_gram, without_noise
+from bayeq.regression.residuals import Fit, Residuals, inspect_residuals, thinned_gram, without_noise
 from bayeq.states import Chain, ChainSmoothing, Motion, MotionRows
 
 # Residuals smaller than this share of the target are rounding of the Gram, and correlated.

@@ -20,13 +20,13 @@ from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
 from bayeq.dictionary.polynomial import degree
 from bayeq.expressions import Expression
-from bayeq.inference.collapsed.conditional import noise_given_model
 from bayeq.inference.collapsed.path import DEPENDENT
 from bayeq.inference.collapsed.problem import all_rows
+from bayeq.inference.collapsed.slab import noise_given_model
 from bayeq.inference.posterior import Posterior
-from bayeq.numerics.normal import Z95
+from bayeq.numerics.distributions import Z95
+from bayeq.numerics.settings import SELECTION
 from bayeq.regression.fit import RegressionFit
-from bayeq.selection.settings import SELECTION
 from bayeq.states import Motion
 
 # Models of less probability than this together are left out, points at which the others are compared, and their seed.

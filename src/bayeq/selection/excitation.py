@@ -17,8 +17,8 @@ from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
 from bayeq.expressions import Expression
 from bayeq.expressions.functions import TIME
-from bayeq.numerics.beta import incomplete_beta
-from bayeq.selection.settings import SELECTION
+from bayeq.numerics.distributions import incomplete_beta
+from bayeq.numerics.settings import SELECTION
 from bayeq.states import Motion, MotionRows
 
 # Harmonics count that chance makes with less than this probability.

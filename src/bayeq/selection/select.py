@@ -38,10 +38,9 @@ from bayeq.inference.collapsed.path import DEPENDENT, best_of_each_size, best_wi
 from bayeq.inference.collapsed.problem import gram_block
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.posterior import Posterior
-from bayeq.likelihood.settings import LIKELIHOOD
+from bayeq.numerics.settings import LIKELIHOOD, SELECTION
 from bayeq.regression.fit import RegressionFit
 from bayeq.regression.joint import refitted
-from bayeq.selection.settings import SELECTION
 from bayeq.states import Motion
 
 Errors = Mapping[float, float]

@@ -1,14 +1,20 @@
 """States: from measured channels to coordinates and their derivatives."""
 
 from bayeq.states.derive import Smooth, derive_states, require_in_range, require_steps, require_varying
-from bayeq.states.derived_channels import measured_apart
 from bayeq.states.hidden import with_laws
 from bayeq.states.kinematic.chain_smoother import ChainSmoothing
-from bayeq.states.motion import Motion, MotionRows, estimate_motion, with_columns, with_hidden, with_paths
+from bayeq.states.motion import (
+    Motion,
+    MotionRows,
+    estimate_motion,
+    measured_apart,
+    with_columns,
+    with_hidden,
+    with_paths,
+)
 from bayeq.states.prepare import without_lags
 from bayeq.states.roles import Chain, Roles, parse_chain, parse_chains
-from bayeq.states.sensors import Lag, Sensors, Tails, check_sensors, force_of_blows, known_sensors
-from bayeq.states.unit_gains import rates, unit_gains
+from bayeq.states.sensors import Lag, Sensors, Tails, check_sensors, force_of_blows, known_sensors, rates, unit_gains
 
 __all__ = [
     "Chain", "ChainSmoothing", "Lag", "Motion", "MotionRows", "Roles", "Sensors", "Smooth", "Tails",

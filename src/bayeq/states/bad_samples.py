@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from bayeq.arrays import Bools, Floats
 from bayeq.errors import InputError
+from bayeq.numerics.settings import STATES
 from bayeq.records import Record
 from bayeq.records.findings import clipped_levels, equal_runs
 from bayeq.records.record import with_samples
@@ -24,8 +25,7 @@ from bayeq.states.kinematic.fit import fit_kinematic
 from bayeq.states.kinematic.model import ChainSeries, KinematicModel
 from bayeq.states.kinematic.smoother import leave_one_out, one_sided, smooth_kinematic
 from bayeq.states.roles import Chain, Roles
-from bayeq.states.settings import STATES
-from bayeq.states.unit_gains import unit_gains
+from bayeq.states.sensors import unit_gains
 
 # Kinds of bad samples.
 BAD = ("spikes", "stuck", "clipped")

@@ -14,9 +14,9 @@ import numpy as np
 
 from bayeq.arrays import Floats
 from bayeq.errors import ChainError, InputError, RecordError, UnknownNameError
+from bayeq.numerics.settings import STATES
 from bayeq.records import Record
 from bayeq.states.roles import Chain
-from bayeq.states.settings import STATES
 
 Smooth = Literal["auto", "band", "none"]
 

@@ -12,7 +12,7 @@ from bayeq.expressions.parse import EARLIER
 from bayeq.records import SAMPLES, Record
 from bayeq.states.prepare import fitted_grid
 from bayeq.states.roles import Roles
-from bayeq.states.unit_gains import bridged
+from bayeq.states.sensors import bridged
 
 # Times are on a grid if they are off by no more than this share of its step.
 OFF_GRID = 0.1

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from math import comb
 
 import numpy as np
 
@@ -12,17 +13,16 @@ from bayeq.arrays import Bools, Floats
 from bayeq.errors import ChainError, RecordError
 from bayeq.expressions.functions import TIME
 from bayeq.expressions.parse import EARLIER
+from bayeq.numerics.settings import STATES
 from bayeq.ode.rk4 import Interpolation
 from bayeq.records import Record, counts_rows
-from bayeq.states.derive import Smooth, derive_states, require_usable
+from bayeq.states.derive import Smooth, derive_states, known, require_usable, usable
 from bayeq.states.hidden import hidden_columns, hidden_rates
 from bayeq.states.kinematic.chain_smoother import ChainSmoothing, smooth_chain, smooth_further
 from bayeq.states.maps import likened, moved
 from bayeq.states.prepare import bridged_record, complete_rows, filled_in, has_all, on_grid, without_lags
 from bayeq.states.roles import NEXT, Chain, Roles
-from bayeq.states.sensors import Sensors
-from bayeq.states.settings import STATES
-from bayeq.states.unit_gains import bridged, unit_gains
+from bayeq.states.sensors import Sensors, bridged, unit_gains
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +68,7 @@ class Motion:
     records: tuple[MotionRows, ...]  # all rows of each
     cuts: tuple[int, ...]  # the first row of each record that is held out; its number of rows if none is
     smoothing: tuple[ChainSmoothing, ...]  # how the smoother went over each measured chain; empty if it did not
-    unit_gains: tuple[Floats, ...]  # of each chain, (K+1,), see `bayeq.states.unit_gains`
+    unit_gains: tuple[Floats, ...]  # of each chain, (K+1,), see `bayeq.states.sensors`
     holdout: float  # share of the rows of each record, the last, that is held out
     sensors: Sensors = field(default_factory=Sensors)  # what is known of the channels
     band: tuple[float, float] | None = None  # frequencies [Hz] in which the records are believed
@@ -323,3 +323,108 @@ def _require_integrable(records: Sequence[Record], chain: Chain, smooth: Smooth)
         lacking = "smooth='auto'"
     if lacking is not None:
         raise ChainError(f"{where}: chain {str(chain)!r} has to be integrated, which needs {lacking}")
+
+
+# A filter is fitted to this many rows for each sample that it takes in, at least; more than this many are not needed.
+ROWS_PER_SAMPLE = 10
+MOST_ROWS = 20_000
+
+# Noise smaller than this share of a channel is not told from rounding.
+ROUNDING_NOISE = 1e-4
+
+# Directions of neighbouring samples smaller than this share of the largest are rounding.
+ROUNDING = 1e-13
+
+# Differences of this order are mostly noise.
+DIFFERENCES = 8
+
+
+def measured_apart(
+    records: Sequence[Record], chains: Sequence[Chain], share: float = 0.0
+) -> tuple[tuple[Chain, ...], list[str]]:
+    """The chains without channels that were computed from a lower one, and a message for each chain that has some.
+
+    Such channels keep their names and are to be estimated. Noise levels are not learned from a `share` of the rows, the
+    last of each record.
+    """
+    out, messages = [], []
+    for chain in chains:
+        computed = _computed(records, chain, share) if sum(m is not None for m in chain.measured) > 1 else []
+        if computed:
+            source = chain.measured[chain.lowest]
+            messages.append(
+                f"{', '.join(chain.names[k] for k in computed)}: computed from {source}, not measured: estimated from"
+                f" {source} again (smooth='none': taken as it is)"
+            )
+            measured = tuple(None if k in computed else name for k, name in enumerate(chain.measured))
+            called = tuple(name if k in computed else chain.own_name(k) for k, name in enumerate(chain.measured))
+            chain = Chain(measured, tuple(None if m else c for m, c in zip(measured, called, strict=True)))
+        out.append(chain)
+    return tuple(out), messages
+
+
+def _computed(records: Sequence[Record], chain: Chain, share: float) -> list[int]:
+    """Orders of the derivatives that were computed from the lowest measured one."""
+    names = [name for name in chain.measured if name is not None]
+    if not all(name in record.channels and usable(known(record[name])) for record in records for name in names):
+        # reported where channels are checked
+        return []
+    even = [on_grid(record, names) for record in records]
+    if not all(record.is_uniform() for record in even):
+        return []
+    cuts = [cut_at(record.n, share) for record in even]
+    source = names[0]
+    samples = [record[source][:cut] for record, cut in zip(even, cuts, strict=True)]
+    noise = _rough_noise(samples)
+    suspected = []
+    for k, name in enumerate(chain.measured):
+        if name is None or name == source:
+            continue
+        fitted = _filter(even, cuts, source, name)
+        if fitted is not None and fitted[0] < STATES.computed * fitted[1] * noise:
+            suspected.append((k, *fitted))
+    if not suspected:
+        return []
+    # the noise of the lowest channel as it is known alone
+    try:
+        lowest = tuple(name if name == source else None for name in chain.measured)
+        _, alone = smooth_chain(even, Chain(lowest), cuts)
+    except RecordError:  # noise and motion cannot be told apart: neither can measured channels and computed ones
+        return []
+    noise = float(alone.model.noise_sd[chain.lowest] or 0.0)
+    if noise / float(np.nanstd(np.concatenate(samples))) < ROUNDING_NOISE:
+        return []
+    return [k for k, left, gain in suspected if left < STATES.computed * gain * noise]
+
+
+def _rough_noise(pieces: Sequence[Floats]) -> float:
+    """Standard deviation of white noise, if differences of a high order held nothing else: an upper bound."""
+    differences = np.concatenate([np.diff(piece, DIFFERENCES) for piece in pieces])
+    known = differences[np.isfinite(differences)]
+    return float(np.sqrt(np.mean(known**2) / comb(2 * DIFFERENCES, DIFFERENCES))) if len(known) else 0.0
+
+
+def _filter(records: Sequence[Record], cuts: Sequence[int], source: str, name: str) -> tuple[float, float] | None:
+    """Least-squares filter from one channel to another: standard deviation of what it leaves, and its gain for white
+    noise; None of too few rows."""
+    blocks, targets = [], []
+    rows = 0
+    for record, cut in zip(records, cuts, strict=True):
+        x, y = np.asarray(record[source][:cut]), np.asarray(record[name][:cut])
+        if len(x) <= 2 * STATES.filter_reach or rows > MOST_ROWS:
+            continue
+        X = np.lib.stride_tricks.sliding_window_view(x[:MOST_ROWS], 2 * STATES.filter_reach + 1)
+        Y = y[STATES.filter_reach : STATES.filter_reach + len(X)]
+        known = np.isfinite(X).all(axis=1) & np.isfinite(Y)
+        blocks.append(X[known])
+        targets.append(Y[known])
+        rows += int(known.sum())
+    taps = 2 * STATES.filter_reach + 1
+    if rows < ROWS_PER_SAMPLE * taps:
+        return None
+    X, Y = np.concatenate(blocks), np.concatenate(targets)
+    centre, middle = X.mean(axis=0), Y.mean()
+    # neighbouring samples are nearly the same: directions that are rounding are left out
+    weights = np.linalg.lstsq((X - centre).T @ (X - centre), (X - centre).T @ (Y - middle), rcond=ROUNDING)[0]
+    left = Y - middle - (X - centre) @ weights
+    return float(np.sqrt(left @ left / (rows - taps - 1))), float(np.linalg.norm(weights))

@@ -1,17 +1,24 @@
-"""`Sensors`: what is known of the channels before the record is looked at, noise levels and calibration."""
+"""Sensors of a chain: offsets, gains, lags, and units: v in m/s beside x in mm is 0.001 times dx/dt.
+
+Where both units are stated their ratio is exact. Otherwise it is estimated from the spectra.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from itertools import pairwise
+from typing import Literal, NamedTuple
 
 import numpy as np
 
-from bayeq.arrays import Floats
+from bayeq.arrays import Complexes, Floats
 from bayeq.errors import InputError, UnknownNameError, require_mapping
+from bayeq.numerics.settings import STATES
 from bayeq.records import Record
+from bayeq.records.names import derivative_ratio
+from bayeq.records.validate import even_step
 from bayeq.states.roles import Chain, Roles
 
 Tails = Literal["gauss", "student"]
@@ -178,3 +185,172 @@ def scaled_with(chains: Sequence[Chain], channel: str) -> tuple[str, ...]:
             if chain.measured[source] == channel:
                 out.append(name)
     return tuple(out)
+
+
+# An estimate is made from the strongest lines of the spectra: those above this share of the largest, but at most this
+# share of the rows, and at least this many. They show one motion if one channel tells more than a share COHERENT of the
+# other's power: where a channel is proportional to the other instead of its derivative, white spectra give 5/9.
+STRONG = 0.1
+SHARE_OF_LINES = 1 / 100
+LEAST_LINES = 5
+COHERENT = 0.7
+
+# More rows of a record are not needed: a thousand lines tell any factor.
+MOST_ROWS = 100_000
+
+# Independent lines among those of a Hann window's transform.
+INDEPENDENT = 2 / 3
+
+# Errors that count: this many standard errors; what calibration and filters leave of the best estimate; and in
+# records of n rows, without any noise, this over n for the ends of the window.
+SIGNIFICANT = 4.0
+LEAST_ERROR = 0.005
+ENDS = 2.0
+
+# An estimate is used if its error is a smaller factor than exp of this.
+MOST_ERROR = 1.0
+
+# Ratios of units that are mixed without being stated, the most plausible first: none; prefixes; accelerations in g with
+# lengths in m, mm, um or cm; degrees or turns with radians; other powers of ten.
+GRAVITY = 9.80665
+PREFIXES = (1e-3, 1e3, 1e-6, 1e6, 1e-2, 1e2)
+IN_G = (1.0 / GRAVITY, 1e-3 / GRAVITY, 1e-6 / GRAVITY, 1e-2 / GRAVITY)
+ANGLES = tuple(factor**sign for factor in (math.pi / 180.0, 2.0 * math.pi) for sign in (1, -1))
+OTHERS = tuple(10.0**k for k in range(-18, 19))
+
+# Orders of derivatives that can be compared: the window's own derivatives are written out up to here.
+MOST_ORDER = 2
+
+
+def rates(chain: Chain, gains: Sequence[float]) -> tuple[float, ...]:
+    """Factor from each channel above the coordinate's to the derivative by time of the channel below it, (K,).
+
+    The gains of a chain of order K are those of `unit_gains`; empty where all are 1.
+
+    Examples
+    --------
+    >>> from bayeq.states import parse_chain
+    >>> rates(parse_chain("x:v:a"), (1.0, 0.001, 0.001))
+    (1000.0, 1.0)
+    """
+    whole = tuple(gains) or (1.0,) * (chain.order + 1)
+    return tuple(below / above for below, above in pairwise(whole))
+
+
+def unit_gains(records: Sequence[Record], chain: Chain, rows: Sequence[int] | None = None) -> Floats:
+    """Factor of each derivative's channel to the derivative in the unit that the lowest measured one implies, (K+1,).
+
+    It is 1 below the lowest measured channel; that of the channel below, where one above it is not measured; negative
+    for a channel of the opposite sign. It is learned from the first `rows` of each record, by default from all; NaN is
+    a missing sample.
+    """
+    cuts = [record.n for record in records] if rows is None else list(rows)
+    gains = np.ones(chain.order + 1)
+    known = {chain.lowest: str(chain.measured[chain.lowest])}
+    for k in range(chain.lowest + 1, chain.order + 1):
+        name = chain.measured[k]
+        if name is None:
+            gains[k] = gains[k - 1]
+            continue
+        stated = {j: _stated(records, below, name, k - j) for j, below in known.items()}
+        j = next((j for j, ratio in stated.items() if ratio is not None), max(known))
+        found = _estimated(records, cuts, known[j], name, k - j)
+        gains[k] = gains[j] * _decided(stated[j], found, acceleration=k == 2)
+        known[k] = name
+    return gains
+
+
+def _stated(records: Sequence[Record], below: str, above: str, order: int) -> float | None:
+    """The ratio of the stated units; None where a record states none, or they disagree."""
+    found = set()
+    for record in records:
+        both = below in record.units and above in record.units and record.units.get("t", "s") == "s"
+        found.add(derivative_ratio(record.units[below], record.units[above], order) if both else None)
+    return found.pop() if len(found) == 1 else None
+
+
+class _Estimate(NamedTuple):
+    gain: float
+    # of ln |gain|, as far as it counts
+    error: float
+
+    def distance(self, gain: float) -> float:
+        return abs(math.log(abs(self.gain) / gain))
+
+
+def _decided(stated: float | None, found: _Estimate | None, acceleration: bool) -> float:
+    """The stated ratio; without one the first usual ratio that the estimate agrees with, or else the nearest.
+
+    What differs by more than calibration is left as it is found, a stated ratio notwithstanding; so are signs.
+    """
+    if found is None:
+        return 1.0 if stated is None else stated
+    usual = (1.0, *PREFIXES, *(IN_G if acceleration else ()), *ANGLES, *OTHERS)
+    agreeing = [gain for gain in usual if found.distance(gain) <= found.error]
+    ratio = (agreeing or [min(usual, key=found.distance)])[0]
+    if stated is not None and found.distance(stated) <= STATES.calibration + found.error:
+        ratio = stated
+    return math.copysign(ratio, found.gain) if found.distance(ratio) <= STATES.calibration + found.error else found.gain
+
+
+def _estimated(records: Sequence[Record], cuts: Sequence[int], below: str, above: str, order: int) -> _Estimate | None:
+    """The ratio of the strongest lines of both spectra; None where they do not show one motion.
+
+    Regressed on one channel the ratio is too small by the noise of that one, on the other too large by that of the
+    other: the estimate is their geometric mean, and the noise leaves it undecided between them. Its random error is
+    that of a frequency response (Bendat and Piersol 2010, section 9.2).
+    """
+    if order > MOST_ORDER:
+        return None
+    cross, power, expected, count = 0.0, 0.0, 0.0, 0
+    sizes = [_size(records, cuts, name) for name in (below, above)]
+    for record, cut in zip(records, cuts, strict=True):
+        if record.time is None or cut <= LEAST_LINES:
+            continue
+        cut = min(cut, MOST_ROWS)
+        step = even_step(np.asarray(record.time)[:cut])
+        if step is None:
+            continue
+        x, y = (bridged(record[name][:cut]) / size for name, size in zip((below, above), sizes, strict=True))
+        lines, slopes, given = (_lines(values - values.mean(), step, k) for values, k in ((x, 0), (x, order), (y, 0)))
+        strength = np.abs(lines) * np.abs(given)
+        many = min(int(SHARE_OF_LINES * cut), int(np.count_nonzero(strength >= STRONG * strength.max())))
+        strongest = np.argsort(-strength)[: max(LEAST_LINES, many)]
+        given, slopes = given[strongest], slopes[strongest]
+        cross += float(np.real(np.vdot(slopes, given)))
+        power += float(np.vdot(given, given).real)
+        expected += float(np.vdot(slopes, slopes).real)
+        count += len(strongest)
+    coherence = cross**2 / (power * expected) if power * expected > 0.0 else 0.0
+    if not coherence > COHERENT:
+        return None
+    random = math.sqrt(max(1.0 - coherence, 0.0) / (2.0 * coherence * INDEPENDENT * count))
+    error = max(LEAST_ERROR, ENDS / sum(cuts), SIGNIFICANT * random - 0.5 * math.log(coherence))
+    if error > MOST_ERROR:
+        return None
+    return _Estimate(math.copysign(math.sqrt(power / expected), cross) * sizes[1] / sizes[0], error)
+
+
+def _size(records: Sequence[Record], cuts: Sequence[int], name: str) -> float:
+    """Of the samples, so that no power of them overflows."""
+    return max(float(np.ptp(bridged(r[name][:cut]))) for r, cut in zip(records, cuts, strict=True)) or 1.0
+
+
+def bridged(samples: Floats) -> Floats:
+    """The samples, missing ones interpolated."""
+    known = np.flatnonzero(np.isfinite(samples))
+    return np.interp(np.arange(len(samples)), known, samples[known]) if len(known) else np.zeros(len(samples))
+
+
+def _lines(samples: Floats, step: float, order: int) -> Complexes:
+    """Transform of a Hann window times the derivative of a signal, from the signal by the product rule."""
+    n = len(samples)
+    phase = 2.0 * np.pi * (np.arange(n) + 0.5) / n
+    rate = 2.0 * np.pi / (n * step)
+    windows = (0.5 - 0.5 * np.cos(phase), 0.5 * rate * np.sin(phase), 0.5 * rate**2 * np.cos(phase))
+    omega = 2j * np.pi * np.fft.rfftfreq(n, step)
+    a, b, c = (np.fft.rfft(window * samples) if k <= order else None for k, window in enumerate(windows))
+    assert a is not None
+    if b is None:
+        return a[2:]
+    return (omega * a - b)[2:] if c is None else (omega**2 * a - 2.0 * omega * b + c)[2:]

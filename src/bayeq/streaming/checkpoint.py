@@ -24,10 +24,9 @@ from bayeq.errors import BayeqWarning
 from bayeq.gram.gram import Moments
 from bayeq.likelihood.block import Block
 from bayeq.likelihood.fit import Quadratic
-from bayeq.records.files import replacing
+from bayeq.records.io import replacing
 from bayeq.records.stream import FileStream
-from bayeq.streaming.units import Extent
-from bayeq.streaming.work import Folded, Lagged, OfRows
+from bayeq.streaming.work import Extent, Folded, Lagged, OfRows
 
 # A sum is kept no more often than this [s].
 EVERY = 10.0

@@ -31,7 +31,7 @@ from bayeq.records import Record
 from bayeq.records.formats.protocol import parts_between
 from bayeq.records.stream import FileStream
 from bayeq.streaming.partitions import DaskStream, Parts
-from bayeq.streaming.units import Extent, Unit, Work
+from bayeq.streaming.work import Extent, Unit, Work
 
 T = TypeVar("T")
 

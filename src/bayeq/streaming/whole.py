@@ -15,15 +15,27 @@ from bayeq.gram.gram import from_moments
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.block import Block, Curvature, curvature, relearned
 from bayeq.likelihood.record_fit import RecordFit
+from bayeq.numerics.settings import STREAMING
 from bayeq.regression.design import Design, usable_terms
 from bayeq.regression.residuals import Residuals
 from bayeq.resumable import Progress
 from bayeq.states import Motion
 from bayeq.states.bad_samples import Learned
 from bayeq.streaming.checkpoint import Checkpoints
-from bayeq.streaming.settings import STREAMING
-from bayeq.streaming.units import Executor, Extent, Of, Unit, Work, fold, units_of
-from bayeq.streaming.work import BLOCK_ROWS, AsMeasured, ByLikelihood, LaggedResiduals, with_all_rows
+from bayeq.streaming.work import (
+    BLOCK_ROWS,
+    AsMeasured,
+    ByLikelihood,
+    Executor,
+    Extent,
+    LaggedResiduals,
+    Of,
+    Unit,
+    Work,
+    fold,
+    units_of,
+    with_all_rows,
+)
 
 # Of many units these first, evenly spread, so that the likelihood of all is taken near its maximum.
 SPREAD = 16

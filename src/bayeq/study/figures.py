@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bayeq.arrays import Floats
-from bayeq.equation.units import quotient_unit
+from bayeq.equation.written import quotient_unit
 from bayeq.expressions import parse
 from bayeq.figures.paper import Inclusion, JointPosterior, draw_inclusion, draw_joint
 from bayeq.figures.style import mathtext, require_matplotlib, save, style
@@ -20,9 +20,9 @@ from bayeq.inference.gibbs import spike_slab_gibbs
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
 from bayeq.inference.vb import spike_slab_vb
-from bayeq.records.units import multiply_units, parse_unit
+from bayeq.records.names import multiply_units, parse_unit
 from bayeq.study.config import STUDY_SYSTEMS, StudyConfig, choose
-from bayeq.study.realise import ALGORITHM_STREAM, draw
+from bayeq.study.runner import ALGORITHM_STREAM, draw
 from bayeq.systems import System, get_system
 
 # Values from here on are given in powers of ten on the axis.

@@ -1,25 +1,441 @@
-"""All realisations of a study, in parallel, continued where an earlier run was stopped."""
+"""Realisations of the Monte Carlo study, each reproducible alone from (seed, system, index), and their store.
+
+The algorithms are a table: a new one is a function and a row of `ALGORITHMS`. Each sees one realisation: the training
+Gram in original units, the held-out Gram (only SINDy looks at it, to choose its threshold as the paper does) and the
+regression that they come from; the study's numbers; and a seed of its own. It answers in original units.
+"""
 
 from __future__ import annotations
 
+import json
+import math
+import sqlite3
 import time
-from collections.abc import Callable, Sequence
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import lru_cache, partial
 from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, cast
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
-from bayeq.errors import whole_number
-from bayeq.resumable.store import Key
+from bayeq.arrays import Bools, Floats
+from bayeq.dictionary import Variables, build_dictionary
+from bayeq.errors import InputError, one_line, whole_number
+from bayeq.expressions import Expression
+from bayeq.gram import Gram, Standardised
+from bayeq.inference.bma import spike_slab_bma
+from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
+from bayeq.inference.gibbs import spike_slab_gibbs
+from bayeq.inference.posterior import Posterior
+from bayeq.inference.prior import Prior
+from bayeq.inference.rvm import rvm
+from bayeq.inference.stlsq import sweep_stlsq
+from bayeq.inference.vb import spike_slab_vb
+from bayeq.regression.by_likelihood import regressions_of
+from bayeq.regression.constraints import parse_constraints
+from bayeq.regression.design import build_design
+from bayeq.regression.joint import fit_equations, record_of
+from bayeq.regression.regression import Regression
+from bayeq.resumable.store import Key, ResultStore
 from bayeq.resumable.workers import AHEAD, MAX_JOBS, fill
+from bayeq.selection.select import Rules, select
+from bayeq.states import Roles, Smooth, estimate_motion, parse_chains
 from bayeq.streaming.cluster import Cluster
 from bayeq.study.config import DEFAULT_ALGORITHMS, STUDY_SYSTEMS, StudyConfig, choose
-from bayeq.study.realise import ALGORITHMS, Task, realise
-from bayeq.study.store import Result, Store
+from bayeq.systems import System, get_system, simulate
+
+# Behind (seed, system, index) in the seed of an algorithm, so that its random numbers are not the simulation's.
+ALGORITHM_STREAM = 1
+
+LONGEST_MESSAGE = 300
+
+
+@dataclass(frozen=True, slots=True)
+class Realisation:
+    """The data of one realisation."""
+
+    regression: Regression  # of the first rows
+    # what counts as data of the first rows, and the last rows, in original units
+    train: Gram
+    test: Gram
+    truth: Floats  # (P,), true coefficients of the candidate terms
+
+
+Algorithm = Callable[[Realisation, StudyConfig, tuple[int, ...]], Posterior]
+
+
+def _posed(train: Gram, config: StudyConfig) -> tuple[Standardised, Prior]:
+    """The standardised problem and its prior: the paper's, or on smoothed records the defaults of `bayeq.discover`.
+
+    Smoothing raises the signal-to-noise ratio, for which the paper's slab is too narrow: its variance is then learned,
+    and the noise prior applies in units of the residual.
+    """
+    prior = Prior(config.slab_variance, config.prior_inclusion, config.noise_shape, config.noise_rate)
+    if config.smooth == "none":
+        return train.standardise(), prior
+    standard = train.standardise(residual_scale(train))
+    return standard, replace(prior, slab_variance=learn_slab_variance(standard.gram, prior, config.slab_variance))
+
+
+def _sindy(
+    columns: Literal["raw", "standardised"], data: Realisation, config: StudyConfig, seed: tuple[int, ...]
+) -> Posterior:
+    """Sequential threshold least squares, its threshold on raw or standardised columns swept on the held-out error."""
+    return sweep_stlsq(data.train, held_out=data.test, columns=columns)
+
+
+def _rvm(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Posterior:
+    """Relevance vector machine; selected is what is left in the machine."""
+    standard = data.train.standardise()
+    return rvm(standard.gram).rescaled(standard)
+
+
+def _gibbs(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Posterior:
+    """SS-MCMC: the collapsed Gibbs sampler, eqs. (33)-(34), as in the paper without exchange steps."""
+    standard, prior = _posed(data.train, config)
+    chains = {"chains": config.chains, "samples": config.samples, "burn_in": config.burn_in}
+    posterior = spike_slab_gibbs(standard.gram, prior, **chains, exchange=False, seed=seed, keep_draws=False)
+    return posterior.rescaled(standard)
+
+
+def _auto(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Posterior:
+    """What `bayeq.discover` shows by default: its prior, its noise model and its selection."""
+    regression = data.regression
+    free = parse_constraints((), regression.design.terms, [regression.chain.target])
+    (fit,) = fit_equations([regression], free, "auto", seed=seed)
+    (selection,) = select([fit], Rules(), regression.motion)
+    return fit.expanded(selection.shown)
+
+
+def _bma(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Posterior:
+    """Model averaging with exact weights; selected is the median probability model."""
+    standard, prior = _posed(data.train, config)
+    return spike_slab_bma(standard.gram, prior).rescaled(standard)
+
+
+def _vb(
+    init: Literal["search", "greedy", "rvm"], data: Realisation, config: StudyConfig, seed: tuple[int, ...]
+) -> Posterior:
+    """SS-VB, from one start or several."""
+    standard, prior = _posed(data.train, config)
+    return spike_slab_vb(standard.gram, prior, init=init).rescaled(standard)
+
+
+ALGORITHMS: dict[str, Algorithm] = {
+    "sindy": partial(_sindy, "raw"),
+    "sindy-std": partial(_sindy, "standardised"),
+    "rvm": _rvm,
+    "gibbs": _gibbs,
+    "auto": _auto,
+    "bma": _bma,
+    "vb": partial(_vb, "search"),
+    "vb-rvm": partial(_vb, "rvm"),  # as the paper's section 3.2 says
+    "vb-greedy": partial(_vb, "greedy"),  # a search that adds and drops terms but never swaps them
+}
+
+
+# --- a realisation ---------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """A realisation and the algorithms that are to run on it."""
+
+    system: str
+    index: int
+    algorithms: tuple[str, ...]
+
+
+@lru_cache(maxsize=32)
+def _terms(dictionary: str, variables: Variables) -> tuple[Expression, ...]:
+    return build_dictionary(dictionary, variables)
+
+
+def _seed(config: StudyConfig, system: str, index: int) -> tuple[int, int, int]:
+    return config.seed, STUDY_SYSTEMS.index(system), index
+
+
+def draw(config: StudyConfig, system: str, index: int) -> Realisation:
+    """Simulate a realisation, by its number, of one of `STUDY_SYSTEMS`, and form its Gram matrices."""
+    known: System = get_system(system)
+    record = simulate(
+        known,
+        n=config.train_rows + config.test_rows,
+        seed=_seed(config, system, index),
+        noise=config.noise,
+        perturb=config.perturb,
+    )
+    roles = Roles(parse_chains(known.chains), known.inputs)
+    terms = _terms(config.dictionary, Variables(roles.states, roles.inputs))
+    # half a row more, so that rounding down leaves the number of test rows
+    share = (config.test_rows + 0.5) / record.n
+    design = build_design(terms, estimate_motion([record], roles, cast(Smooth, config.smooth), share))
+    (regression,) = regressions_of(design, record_of(design, config.smooth, config.dictionary))
+    assert record.truth is not None
+    true = record.truth.coefficients[roles.targets[0]]
+    if absent := [term for term in true if term not in design.names]:
+        raise ValueError(f"the dictionary lacks the true term {', '.join(absent)}")
+    truth = np.array([true.get(name, 0.0) for name in design.names])
+    return Realisation(regression, regression.gram, design.held_out[0], truth)
+
+
+def realise(config: StudyConfig, task: Task) -> list[Result]:
+    """Run the algorithms of a task; what fails is a result too.
+
+    Only running out of memory, a package that is missing, and the user stop it.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # what they say, not having converged, is in the result
+        try:
+            data = draw(config, task.system, task.index)
+        except (MemoryError, ImportError):
+            raise
+        except Exception as error:  # noqa: BLE001 - one bad realisation must not end a study of thousands
+            failure = _message(error)
+            return [Result(task.system, task.index, name, failure=failure) for name in task.algorithms]
+        return [_run(config, task, name, data) for name in task.algorithms]
+
+
+def _run(config: StudyConfig, task: Task, name: str, data: Realisation) -> Result:
+    """One algorithm on one realisation, timed."""
+    seed = (*_seed(config, task.system, task.index), ALGORITHM_STREAM)
+    algorithm = ALGORITHMS[name]
+    try:
+        start = time.perf_counter()
+        answer = algorithm(data, config, seed)
+        seconds = time.perf_counter() - start
+        metrics = measure(data.train, data.test, data.truth, answer.support, answer.coef)
+        if not metrics.finite:
+            raise FloatingPointError("coefficients that are not finite")
+    except (MemoryError, ImportError):
+        raise
+    except Exception as error:  # noqa: BLE001 - as above: recorded with its type and message
+        return Result(task.system, task.index, name, failure=_message(error))
+    return Result(
+        system=task.system,
+        index=task.index,
+        algorithm=name,
+        metrics=metrics,
+        seconds=seconds,
+        selected=tuple(data.train.names[j] for j in np.flatnonzero(answer.support)),
+        converged=bool(answer.converged),
+        extras=_extras(answer),
+    )
+
+
+def _extras(posterior: Posterior) -> dict[str, Any]:
+    """What else an algorithm says, as plain numbers."""
+    found = {name: getattr(posterior, name) for name in ("elbo", "rhat")}
+    known = {name: float(value) for name, value in found.items() if value is not None and math.isfinite(value)}
+    return {"n_iter": int(posterior.n_iter), **known}
+
+
+def _message(error: Exception) -> str:
+    return one_line(f"{type(error).__name__}: {error}")[:LONGEST_MESSAGE]
+
+
+# (system, algorithm) -> how many realisations were asked for.
+Plan = dict[tuple[str, str], int]
+
+
+@dataclass(frozen=True, slots=True)
+class Metrics:
+    """The errors of section 4.1."""
+
+    # ||S_D (theta_hat - theta)|| / ||S_D theta||, S_D the standard deviations of the training columns
+    e_theta_scaled: float
+    e_theta: float  # ||theta_hat - theta|| / ||theta||
+    e_p: float  # ||y* - D* theta_hat|| / ||y*|| on the test rows
+    fdr: float  # false terms among the selected ones; 0 if none is selected
+    exact: bool  # exactly the true terms are selected
+    superset: bool  # all true terms are selected
+
+    @property
+    def finite(self) -> bool:
+        """Whether all of them are finite."""
+        return all(math.isfinite(getattr(self, name)) for name in METRICS)
+
+
+METRICS = tuple(f.name for f in fields(Metrics))
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """A row of the store."""
+
+    # which realisation, and what ran on it
+    system: str
+    index: int
+    algorithm: str
+    metrics: Metrics | None = None  # None if it failed
+    seconds: float | None = None  # wall time of the algorithm alone, from the Gram to the estimate
+    selected: tuple[str, ...] = ()  # the selected terms
+    converged: bool | None = None  # what the algorithm says of itself
+    extras: Mapping[str, Any] = field(default_factory=dict)  # what else it says, as plain numbers
+    failure: str | None = None  # type and message of the exception
+
+
+def prediction_error(test: Gram, estimate: Floats) -> float:
+    """e_p = ||y* - D* theta_hat|| / ||y*||, with the test dictionary unscaled, uncentred and without intercept.
+
+    By algebra on the test Gram: an uncentred moment is the centred one plus n times the product of the means.
+    """
+    squares = test.yty + test.n * test.target_mean**2
+    return math.sqrt(test.squared_error(estimate, intercept=0.0) / squares)
+
+
+def measure(train: Gram, test: Gram, truth: Floats, support: Bools, coef: Floats) -> Metrics:
+    """All metrics of an estimate.
+
+    All is in original units: statistics of the training and the test rows, true and estimated coefficients (P,).
+    InputError without a true term in the dictionary.
+    """
+    true = truth != 0
+    if not true.any():
+        raise InputError("the dictionary holds no true term: weight errors are not defined")
+    scale, chosen = train.standard_deviation, int(np.count_nonzero(support))
+    return Metrics(
+        e_theta_scaled=_relative_error(scale * coef, scale * truth),
+        e_theta=_relative_error(coef, truth),
+        e_p=prediction_error(test, coef),
+        fdr=int(np.count_nonzero(support & ~true)) / chosen if chosen else 0.0,
+        exact=bool(np.array_equal(support, true)),
+        superset=bool(np.all(support[true])),
+    )
+
+
+def _relative_error(estimate: Floats, truth: Floats) -> float:
+    return float(np.linalg.norm(estimate - truth) / np.linalg.norm(truth))
+
+
+# --- the file --------------------------------------------------------------------------------------------------------
+
+
+COLUMNS = ("system", "idx", "algorithm", *METRICS, "seconds", "selected", "converged", "extras", "failure")
+
+
+class Store(ResultStore):
+    """A study's file; use it in a ``with`` statement.
+
+    With a configuration, to run that study, in a new file if there is none; without it the file is only looked at.
+    `config` is then the configuration in the file, a dict.
+
+    InputError for a file with a study of another configuration, the message names the keys; otherwise as `ResultStore`.
+    """
+
+    application, noun = 0x62797173, "a study"  # "byqs"
+    schema = (
+        "CREATE TABLE config (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID",
+        """CREATE TABLE plan (
+            system TEXT NOT NULL, algorithm TEXT NOT NULL, realisations INTEGER NOT NULL,
+            PRIMARY KEY (system, algorithm)) WITHOUT ROWID""",
+        f"""CREATE TABLE results (
+            system TEXT NOT NULL, idx INTEGER NOT NULL, algorithm TEXT NOT NULL,
+            {", ".join(f"{name} REAL" for name in METRICS)},
+            seconds REAL, selected TEXT NOT NULL, converged INTEGER, extras TEXT NOT NULL, failure TEXT,
+            PRIMARY KEY (system, algorithm, idx)) WITHOUT ROWID""",
+    )
+    table, key, again = "results", {"system": "TEXT", "idx": "INTEGER", "algorithm": "TEXT"}, "IGNORE"
+
+    def __init__(self, path: str | Path, config: StudyConfig | None = None, any_thread: bool = False) -> None:
+        super().__init__(path, config is not None, any_thread)
+        try:
+            if config is not None:
+                rows = [(key, json.dumps(value)) for key, value in asdict(config).items()]
+                with self._transaction():
+                    if not self._one("SELECT count(*) FROM config"):
+                        self._connection.executemany("INSERT INTO config VALUES (?, ?)", rows)
+            with self._guard():
+                stored = self._read("SELECT key, value FROM config")
+                if not stored:  # killed before the first commit
+                    raise sqlite3.DatabaseError("no configuration")
+                self.config: dict[str, Any] = {key: json.loads(value) for key, value in stored}
+            if config is not None and (differences := config.differences(self.config)):
+                raise InputError(
+                    f"{self.path}: holds a study of another configuration: {'; '.join(differences)}; repeat that"
+                    " study's options, or name another store"
+                )
+        except BaseException:
+            self.close()
+            raise
+
+    def plan(self, systems: Sequence[str], algorithms: Sequence[str], realisations: int) -> None:
+        """Note what has been asked for: the most realisations of each system and algorithm."""
+        self._write(
+            "INSERT INTO plan VALUES (?, ?, ?) ON CONFLICT (system, algorithm) DO UPDATE"
+            " SET realisations = max(realisations, excluded.realisations)",
+            *((system, algorithm, realisations) for system in systems for algorithm in algorithms),
+        )
+
+    def planned(self) -> Plan:
+        """What has been asked for so far."""
+        rows = self._read("SELECT system, algorithm, realisations FROM plan")
+        return {(system, algorithm): int(count) for system, algorithm, count in rows}
+
+    def missing(
+        self, systems: Sequence[str], algorithms: Sequence[str], realisations: int
+    ) -> list[list[tuple[str, int, str]]]:
+        """The keys that have no row, those of a realisation together, the systems side by side."""
+        there = set(self._read("SELECT system, idx, algorithm FROM results"))
+        groups = (
+            [key for name in algorithms if (key := (system, index, name)) not in there]
+            for index in range(realisations)
+            for system in systems
+        )
+        return [group for group in groups if group]
+
+    def add(self, results: Iterable[Result]) -> None:
+        """Write rows in one transaction; one that is there already stays."""
+        self.put(_row(result) for result in results)
+
+    def results(self) -> Iterator[Result]:
+        """All rows, by system, algorithm and index."""
+        with self._guard():
+            for row in self._connection.execute(
+                f"SELECT {', '.join(COLUMNS)} FROM results ORDER BY system, algorithm, idx"
+            ):
+                yield _result(row)
+
+
+def _row(result: Result) -> tuple[Any, ...]:
+    m = result.metrics
+    return (
+        result.system,
+        result.index,
+        result.algorithm,
+        *([None] * len(METRICS) if m is None else [float(getattr(m, name)) for name in METRICS]),
+        result.seconds,
+        json.dumps(list(result.selected)),
+        result.converged,
+        json.dumps(dict(result.extras), sort_keys=True),
+        result.failure,
+    )
+
+
+def _result(row: tuple[Any, ...]) -> Result:
+    system, index, algorithm, *values, seconds, selected, converged, extras, failure = row
+    metrics = None
+    if failure is None:
+        errors = dict(zip(METRICS, map(float, values), strict=True))
+        exact, superset = bool(errors.pop("exact")), bool(errors.pop("superset"))
+        metrics = Metrics(**errors, exact=exact, superset=superset)
+    return Result(
+        system=str(system),
+        index=int(index),
+        algorithm=str(algorithm),
+        metrics=metrics,
+        seconds=None if seconds is None else float(seconds),
+        selected=tuple(json.loads(selected)),
+        converged=None if converged is None else bool(converged),
+        extras=json.loads(extras),
+        failure=failure,
+    )
+
 
 # Work that is sent to a worker at a time [s], and realisations at most: a kill loses no more than this.
 BATCH_SECONDS = 0.25

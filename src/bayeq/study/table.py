@@ -16,7 +16,7 @@ import numpy as np
 from bayeq.citation import PAPER
 from bayeq.markup import aligned
 from bayeq.study.config import STUDY_SYSTEMS
-from bayeq.study.store import METRICS, Plan, Result, Store
+from bayeq.study.runner import METRICS, Plan, Result, Store
 
 Row = dict[str, Any]
 Format = Literal["text", "markdown", "csv", "json"]

@@ -93,7 +93,7 @@ def _scores(problem: Problem, models: Bools, limits: Floats | None) -> Floats:
     """Log posteriors of K models up to `search.log_constant`, within limits where they are known."""
     if limits is None:
         return scores_of(problem, models)
-    from bayeq.inference.signs.truncation import signed_scores
+    from bayeq.inference.signs import signed_scores
 
     return signed_scores(problem, limits, models, WINDOW)[1]
 

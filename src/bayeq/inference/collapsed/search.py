@@ -1,4 +1,4 @@
-"""Search over models by their exact log posterior (34), on the collapsed tableau."""
+"""Search over models by their exact log posterior (34), on the collapsed tableau; the best model of each size."""
 
 from __future__ import annotations
 

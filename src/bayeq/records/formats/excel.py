@@ -15,7 +15,7 @@ from typing import Any
 from bayeq.errors import FileFormatError, UnknownNameError, needing
 from bayeq.records.columns import Columns, Names, Select
 from bayeq.records.formats import text
-from bayeq.records.formats.limits import MOST_COLUMNS, check_claim, reading
+from bayeq.records.formats.protocol import MOST_COLUMNS, check_claim, reading
 
 #: The mark of the container of .xls files.
 OLE = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"

@@ -11,7 +11,7 @@ from bayeq.errors import FileFormatError
 from bayeq.records.columns import Columns, Names, Select
 from bayeq.records.formats import text
 from bayeq.records.formats.layout import looks_like_text
-from bayeq.records.formats.limits import check_claim, reading
+from bayeq.records.formats.protocol import check_claim, reading
 from bayeq.records.record import Record
 
 _BYTES_AT_ONCE = 2**20

@@ -14,11 +14,9 @@ from typing import Any
 import numpy as np
 
 from bayeq.errors import FileFormatError, needing
-from bayeq.records.assemble import RATE_NAMES, STEP_NAMES
-from bayeq.records.columns import Columns, Request
-from bayeq.records.formats.limits import check_array, reading
+from bayeq.records.columns import RATE_NAMES, STEP_NAMES, Columns, Request
 from bayeq.records.formats.nested import DEEPEST, MOST_ARRAYS, Channel, channels_of, read_pieces, step_of
-from bayeq.records.formats.protocol import FileRows, grid
+from bayeq.records.formats.protocol import FileRows, check_array, grid, reading
 from bayeq.records.record import Record
 
 _MARK = "bayeq"  # an attribute of files that bayeq wrote: arrays of one number are channels there

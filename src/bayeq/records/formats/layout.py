@@ -24,7 +24,7 @@ from bayeq.records.formats.cells import (
     unquoted,
     words,
 )
-from bayeq.records.formats.limits import MOST_COLUMNS
+from bayeq.records.formats.protocol import MOST_COLUMNS
 
 T = TypeVar("T")
 

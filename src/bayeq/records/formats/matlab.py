@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from bayeq.errors import FileFormatError
-from bayeq.records.formats.limits import MOST_BYTES, MOST_RATIO, SMALL_BYTES, check_claim, reading
 from bayeq.records.formats.nested import DEEPEST, Channel, channels_of
+from bayeq.records.formats.protocol import MOST_BYTES, MOST_RATIO, SMALL_BYTES, check_claim, reading
 
 _KIND = "MATLAB file"
 # Types of elements, and classes of arrays.

@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from bayeq.errors import FileFormatError, LengthsError, UnknownNameError
-from bayeq.records.assemble import RATE_NAMES, STEP_NAMES
-from bayeq.records.columns import Columns, Headers, Names, Request
+from bayeq.records.columns import RATE_NAMES, STEP_NAMES, Columns, Headers, Names, Request
 from bayeq.records.names import clean_name, is_time_name
 from bayeq.records.validate import SECONDS
 

@@ -11,8 +11,7 @@ import numpy as np
 
 from bayeq.errors import FileFormatError
 from bayeq.records.columns import Columns, Headers, Names, Request, Select
-from bayeq.records.formats.limits import MOST_COLUMNS, check_claim, reading
-from bayeq.records.formats.protocol import FileRows, grid
+from bayeq.records.formats.protocol import MOST_COLUMNS, FileRows, check_claim, grid, reading
 
 AnyArray = np.ndarray[Any, np.dtype[Any]]
 _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}

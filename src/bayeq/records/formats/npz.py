@@ -10,8 +10,8 @@ import numpy as np
 
 from bayeq.errors import FileFormatError
 from bayeq.records.columns import Columns, Headers, Names, Select
-from bayeq.records.formats.limits import check_claim, reading, stored_units
 from bayeq.records.formats.npy import AnyArray, read_array
+from bayeq.records.formats.protocol import check_claim, reading, stored_units
 from bayeq.records.record import Record
 
 _UNITS = "__units__"

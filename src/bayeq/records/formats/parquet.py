@@ -13,8 +13,7 @@ import numpy as np
 
 from bayeq.errors import FileFormatError, needing
 from bayeq.records.columns import Columns, Headers, Names, Request, Select
-from bayeq.records.formats.limits import check_array, reading, stored_units
-from bayeq.records.formats.protocol import UNIT_ROWS, FileRows, parts_between
+from bayeq.records.formats.protocol import UNIT_ROWS, FileRows, check_array, parts_between, reading, stored_units
 from bayeq.records.record import Record
 
 _UNITS = b"bayeq.units"

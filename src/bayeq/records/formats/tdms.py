@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from bayeq.errors import FileFormatError, needing
-from bayeq.records.formats.limits import check_array, reading
 from bayeq.records.formats.nested import Channel
+from bayeq.records.formats.protocol import check_array, reading
 
 
 def channels(path: Path) -> list[Channel]:

@@ -26,8 +26,7 @@ from bayeq.errors import FileFormatError, WordsError, needing
 from bayeq.records.columns import Columns, Headers, Names, Request, Select
 from bayeq.records.formats.cells import MISSING, Stamp, fitted, is_blank, is_comment, parse_stamp, split
 from bayeq.records.formats.layout import Layout, comment_header, decoded, encodings, sniff
-from bayeq.records.formats.limits import reading
-from bayeq.records.formats.protocol import UNIT_ROWS, FileRows
+from bayeq.records.formats.protocol import UNIT_ROWS, FileRows, reading
 from bayeq.records.record import Record
 
 _FORTRAN = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+))[dD]([+-]?\d+)")

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from bayeq.errors import FileFormatError, needing
-from bayeq.records.formats.limits import reading
 from bayeq.records.formats.nested import Channel
+from bayeq.records.formats.protocol import reading
 from bayeq.records.validate import SECONDS
 
 # A delimiter, which fills columns 1 to 6, and the number of a dataset.

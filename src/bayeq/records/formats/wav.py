@@ -11,7 +11,7 @@ import numpy as np
 
 from bayeq.errors import FileFormatError
 from bayeq.records.columns import Columns, Headers, Names, Select
-from bayeq.records.formats.limits import reading
+from bayeq.records.formats.protocol import reading
 
 PCM, FLOAT, EXTENSIBLE = 1, 3, 0xFFFE
 

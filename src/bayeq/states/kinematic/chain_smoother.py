@@ -10,15 +10,14 @@ import numpy as np
 
 from bayeq.arrays import Floats
 from bayeq.errors import InputError, RecordError
+from bayeq.numerics.settings import STATES
 from bayeq.records import Record
 from bayeq.records.validate import even_step
 from bayeq.states.kinematic.fit import fit_kinematic
 from bayeq.states.kinematic.model import ChainSeries, KinematicModel
 from bayeq.states.kinematic.smoother import smooth_kinematic
 from bayeq.states.roles import Chain
-from bayeq.states.sensors import LEAST_SHARE
-from bayeq.states.settings import STATES
-from bayeq.states.unit_gains import bridged, unit_gains
+from bayeq.states.sensors import LEAST_SHARE, bridged, unit_gains
 
 # A smoother's filter reaches over this many times as many samples as the inverse of its band's width.
 REACH = 4.0
@@ -42,7 +41,7 @@ class ChainSmoothing:
     fs : float or None
         Sampling rate [Hz], if all records are sampled uniformly at one rate.
     unit_gains : (K+1,) array
-        From `bayeq.states.unit_gains`.
+        From `bayeq.states.sensors`.
     coordinate_sd : float or None
         Where the coordinate is not measured: the standard deviation with which each of its samples is taken to be zero,
         so that it is bounded.

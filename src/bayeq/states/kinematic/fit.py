@@ -12,10 +12,10 @@ import numpy as np
 from bayeq.arrays import Floats
 from bayeq.errors import ConvergenceWarning, InputError
 from bayeq.numerics.minimise import minimise
+from bayeq.numerics.settings import STATES
 from bayeq.states.kinematic.kalman import LONG_GAP
 from bayeq.states.kinematic.model import ChainSeries, KinematicModel, Sizes, check_order, sizes_of
 from bayeq.states.kinematic.smoother import Rows, prepare
-from bayeq.states.settings import STATES
 
 # Fewer samples than this say nothing about the noise of a channel.
 LEAST_SAMPLES = 10

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from bayeq.arrays import Floats
 from bayeq.errors import InputError
-from bayeq.states.settings import STATES
+from bayeq.numerics.settings import STATES
 
 # Standard deviations of the first state, in the size of the measured derivatives: it is unknown.
 DIFFUSE = 1e3

@@ -17,9 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from bayeq.arrays import Floats
 from bayeq.errors import InputError
 from bayeq.records.validate import is_step
-from bayeq.states.kinematic.kalman import Tables, filter_gains, filter_means, score
+from bayeq.states.kinematic.kalman import Tables, filter_gains, filter_means, score, smooth
 from bayeq.states.kinematic.model import ChainSeries, KinematicModel, sizes_of
-from bayeq.states.kinematic.rts import smooth
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,4 +1,4 @@
-"""Hidden states: their stated laws among the candidates, and equations with them against those without."""
+"""Hidden states, compared with none, and coefficients that differ by record."""
 
 from __future__ import annotations
 
@@ -12,11 +12,13 @@ from bayeq.arrays import Bools
 from bayeq.dictionary import Specification, Variables, build_dictionaries, of_equations
 from bayeq.dictionary.build import MOST_UNKNOWN
 from bayeq.dictionary.ranges import with_ranges
+from bayeq.dictionary.specification import split_at_commas
 from bayeq.equation.answer import HiddenState
-from bayeq.errors import ChainError, InputError
-from bayeq.expressions import Expression
+from bayeq.errors import ChainError, InputError, UnknownNameError
+from bayeq.expressions import Binary, Expression, Symbol, parse
 from bayeq.likelihood.hidden import SHARES, seen_in, with_first_paths
 from bayeq.likelihood.record_fit import RecordFit
+from bayeq.records import Record
 from bayeq.regression.constraints import Constraints
 from bayeq.regression.design import Design, build_design
 from bayeq.states import Roles
@@ -136,3 +138,56 @@ def hidden_states(
         without = likelihood(build_design(terms, seen, allowed=allowed))
         odds = -math.inf if without is None else without.of_motion - record.of_motion
     return tuple(HiddenState(chain.names[0], odds, chain.stated) for chain in motion.roles.hidden)
+
+
+#: What stands for all terms.
+ALL = "all"
+
+# Records whose differences are sought, at most.
+MOST_RECORDS = 20
+
+
+def with_differences(
+    differs: str | Sequence[str], records: Sequence[Record], terms: Sequence[Expression], allowed: Bools
+) -> tuple[list[Record], tuple[str, ...], tuple[Expression, ...], Bools]:
+    """Records with the inputs that number them, the names of these, and the candidates with the differences.
+
+    Parameters
+    ----------
+    differs : str or sequence of str
+        Terms whose coefficients may differ, or "all".
+    records : sequence of Record
+        Of the same system.
+    terms, allowed : sequence of Expression, (C, P) bool array
+        Candidates, and which of them each equation may have.
+
+    Raises
+    ------
+    InputError
+        One record only, or very many; a term that is no candidate; a channel with the name of a record's number.
+    """
+    if not 1 < len(records) <= MOST_RECORDS:
+        raise InputError(
+            f"differs: coefficients differ between records: 2 to {MOST_RECORDS} are needed, not {len(records)}"
+        )
+    names = [f"run{k}" for k in range(2, len(records) + 1)]
+    taken = next((name for name in names for record in records if name in record.channels), None)
+    if taken is not None:
+        raise InputError(f"differs: {taken} numbers a record and is a channel too: give the channel another name")
+    texts = split_at_commas(differs) if isinstance(differs, str) else [str(one) for one in differs]
+    known = {term.text: j for j, term in enumerate(terms)}
+    chosen = list(range(len(terms)))
+    if texts != [ALL]:
+        chosen = []
+        for text in texts:
+            name = parse(text).text
+            if name not in known:
+                raise UnknownNameError("candidate term", name, known, where="differs")
+            chosen.append(known[name])
+    found = list(terms)
+    found += [Expression(Binary("*", terms[j].tree, Symbol(name))) for name in names for j in chosen]
+    numbered = [
+        record.with_channels({name: np.full(record.n, float(name == f"run{k}")) for name in names})
+        for k, record in enumerate(records, 1)
+    ]
+    return numbered, tuple(names), tuple(found), np.hstack([allowed, *[allowed[:, chosen]] * len(names)])

@@ -1,25 +1,215 @@
-"""What `bayeq discover` makes of the equations it has found: files, refinement, physical parameters, and the print."""
+"""Standard streams, progress, and what `bayeq discover` makes of its equations: files, parameters, the print."""
 
 from __future__ import annotations
 
 import json
 import os
 import shlex
+import sys
+import threading
+import time as clock
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields
+from io import TextIOWrapper
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 import click
 
-from bayeq.cli.progress import Progress
-from bayeq.errors import InputError
+from bayeq.errors import BayeqError, InputError
+from bayeq.posix import address_space
 
 if TYPE_CHECKING:
     from bayeq.equation.equations import Equations
     from bayeq.equation.physical import PhysicalParameters
     from bayeq.records import Record
-    from bayeq.records.files import FileState
+    from bayeq.records.io import FileState
+
+# Exit code of an interrupted command, as shells count it.
+INTERRUPTED = 130
+
+# What a discovery takes that compiles its kernels, with one thread: 582 MB, of which 264 MB are in use.
+LEAST = 640
+
+
+def prepare_streams() -> None:
+    """Make the standard streams safe to write to: every character, and streams that the caller has closed.
+
+    Closed ones are opened on the null device, in the order of their file descriptors: otherwise the next file that is
+    opened takes the place of the stream and receives what is printed. Standard output is opened for reading, so that
+    a result that nobody receives is an error (`io.UnsupportedOperation`).
+    """
+    for name, mode in (("stdin", "r"), ("stdout", "r"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):  # a name that the terminal's encoding lacks is no reason to fail
+            stream.reconfigure(errors="backslashreplace")
+
+
+def say(text: str) -> None:
+    """Print a line on standard error, if it can be written to: the work goes on without."""
+    with suppress(OSError):
+        print(text, file=sys.stderr)
+
+
+def require_address_space() -> None:
+    """Refuse a limit that no command can work with (BayeqError); under others use one thread: each takes its share."""
+    most = address_space()
+    if most is None:
+        return
+    if most < LEAST:
+        raise BayeqError(
+            f"not enough memory: this process is limited to {most} MB of address space, and needs {LEAST} MB; raise"
+            f" the limit (ulimit -v {LEAST * 1024})"
+        )
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+
+def no_memory() -> str:
+    """What to say where memory has run out."""
+    most = address_space()
+    if most is None:
+        return "not enough memory; use fewer samples or fewer terms"
+    return (
+        f"not enough memory: this process is limited to {most} MB of address space; raise the limit (ulimit -v), or use"
+        " fewer samples or fewer terms"
+    )
+
+
+COMPILING = "compiling what runs for the first time after installation: up to a minute ..."
+
+#: Lines about progress begin so.
+PROGRESS = "bayeq: progress: "
+
+#: Stages as lines about progress call them; others by their names.
+STAGES = {
+    "reading": "reading the file",
+    "states": "smoothing the motion",
+    "dictionary": "evaluating the candidate terms",
+    "lags": "learning the lags of channels",
+    "likelihood": "learning path and noise of the record",
+    "inference": "weighing the terms",
+}
+
+# Work that takes longer shows its progress [s].
+PATIENCE = 1.0
+
+# A stage that goes on is named again after this time [s].
+INTERVAL = 10.0
+
+# Of this many the rate is said.
+MANY = 1000
+
+
+class Progress:
+    """What is being done; call it with (stage, done, total).
+
+    A thread watches, for a stage may take minutes without a call. With `verbose` every stage is named at once, and how
+    long it took.
+    """
+
+    def __init__(self, verbose: bool = False) -> None:
+        self.verbose = verbose
+        self.stage, self.done, self.total = "", 0, 0
+        self.first = 0  # what was done when the stage began, of a run that goes on
+        self.began = self.said = clock.monotonic()
+        self.named = ""  # the stage that was named last
+        self.bar: Any = None
+        self.task: Any = None
+        self.stop = threading.Event()
+        self.lock = threading.Lock()
+        self.watch: threading.Thread | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        with self.lock:
+            if self.watch is None:
+                self.stop = threading.Event()
+                self.watch = threading.Thread(target=self._watch, args=(self.stop,), daemon=True)
+                self.watch.start()
+            if stage != self.stage:
+                self._finish()
+                self.stage, self.began, self.first = stage, clock.monotonic(), done
+                if self.verbose:
+                    say(f"bayeq: {stage} ...")
+            self.done, self.total = done, total
+            if self.bar is not None:
+                self.bar.update(self.task, description=self._described(), completed=done, total=total)
+
+    def close(self) -> None:
+        """Take the bar away, and be silent until the next call."""
+        self.stop.set()
+        if self.watch is not None:
+            self.watch.join()
+            self.watch = None
+        with self.lock:
+            self._finish()
+            self.stage = self.named = ""
+            if self.bar is not None:
+                self.bar.stop()
+                self.bar = None
+
+    def _finish(self) -> None:
+        if self.verbose and self.stage:
+            say(f"bayeq: {self.stage}: {clock.monotonic() - self.began:.2g} s")
+
+    def _watch(self, stop: threading.Event) -> None:
+        pause = PATIENCE
+        while not stop.wait(pause):
+            pause = PATIENCE if self.verbose or not _is_terminal() else 0.1
+            with self.lock:
+                if not stop.is_set():
+                    self._show()
+
+    def _show(self) -> None:
+        now = clock.monotonic()
+        if _is_terminal() and not self.verbose:
+            if self.bar is None:
+                self._open_bar()
+        elif self.stage != self.named or now - self.said >= INTERVAL:
+            if self.stage != self.named and self.verbose:
+                self.said = now  # it has been named when it began
+            else:
+                left = self._left(now) if self.total > 1 else ""
+                spent = f", {now - self.began:.0f} s" if now - self.began >= 1.0 else ""
+                say(f"{PROGRESS}{self._described()}{left}{spent}")
+                self.said = now
+            self.named = self.stage
+
+    def _described(self) -> str:
+        """The stage in words, and how much of it is done."""
+        count = f", {self.done:,} of {self.total:,}" if self.total > 1 else ""
+        return STAGES.get(self.stage, self.stage) + count
+
+    def _left(self, now: float) -> str:
+        """The rate, of rows, and the time that is left."""
+        done, spent = self.done - self.first, now - self.began
+        if done <= 0 or spent <= 0.0:
+            return ""
+        rate = f"{done / spent:,.0f} a second, " if self.total >= MANY else ""
+        return f" ({rate}{(self.total - self.done) * spent / done:.0f} s left)"
+
+    def _open_bar(self) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+        from rich.progress import Progress as Bar
+
+        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+        self.bar = Bar(*columns, console=Console(stderr=True), transient=True)
+        self.bar.start()
+        self.task = self.bar.add_task(self._described(), completed=self.done, total=self.total)
+
+
+def _is_terminal() -> bool:
+    return sys.stderr is not None and sys.stderr.isatty()
+
 
 Kind = Literal["any", "table", "figure", "table or figure", "page"]
 
@@ -149,7 +339,7 @@ def _write_report(
     path: Path, answer: Equations, records: Sequence[Record], files: Mapping[Path, FileState | None]
 ) -> None:
     """The report, with the command as it was typed where that is known; standard input has no file to be hashed."""
-    from bayeq.records.files import require_unchanged
+    from bayeq.records.io import require_unchanged
 
     for file, before in files.items():
         require_unchanged(file, before)  # a hash of other rows would be a lie
@@ -202,7 +392,7 @@ def _write_curves(path: Path, found: Equations, what: Literal["sensitivity", "pa
 
 def _write_forecast(path: Path, answer: Equations, records: Sequence[Record], holdout: float) -> None:
     """Free runs over the rows held out, or over whole records where none are."""
-    from bayeq.forecast.run import write_forecasts
+    from bayeq.forecast.free_run import write_forecasts
 
     share = holdout if answer.data.n_held_out else 0.0
     starts = [record.n - int(share * record.n) for record in records]

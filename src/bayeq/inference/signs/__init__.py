@@ -1,1 +1,0 @@
-"""Known signs and bounds of coefficients."""
