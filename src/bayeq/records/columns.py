@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from bayeq.arrays import Floats
 from bayeq.errors import DataWarning, FileFormatError, InputError, RecordError, UnknownNameError, WordsError
-from bayeq.records.names import clean_name, clean_names, gain_and_unit, is_time_name, time_unit
+from bayeq.records.names import clean_name, clean_names, gain_and_unit, is_time_name, time_unit, unit_in_name
 from bayeq.records.validate import SECONDS, as_column, as_time, check_time, in_seconds, time_from, trial_starts
 
 if TYPE_CHECKING:
@@ -63,7 +63,8 @@ class Headers:
         texts = [str(text).strip() for text in texts]
         names, units = clean_names(texts)
         known = stated or {}
-        return cls(texts, names, [known.get(text) or unit for text, unit in zip(texts, units, strict=True)], where)
+        found = [known.get(text) or unit or unit_in_name(text) for text, unit in zip(texts, units, strict=True)]
+        return cls(texts, names, found, where)
 
     def __len__(self) -> int:
         return len(self.names)

@@ -174,6 +174,40 @@ _KNOWN = frozenset(
     }
 )
 
+# Units at the end of a name without brackets: "disp_mm", "vel_mm_s", "acc_mps2", "force_N". A letter alone may be a
+# label, "motor_A", but behind the word of a force or an acceleration.
+_ENDING = re.compile(
+    r".*[^\W_].*?[_ ](?:(?P<above>[mcuµμ]?m|m?rad|deg|rev)(?:_?per_?|p|_)s(?:ec)?(?P<squared>_?2|\^2|²|s)?"
+    r"|(?P<whole>[mcuµμ]m|k?Nm|kN|[kMh]Pa|m?bar|psi|[mk]V|mA|k?Hz|m?rad|deg|rpm|degC|kg|lbf))"
+    r"|(?:f|force|kraft|load|last|thrust)[\w ]*?[_ ](?P<force>(?-i:N))"
+    r"|(?:a|acc\w*|beschl\w*)[\w ]*?[_ ](?P<gravity>(?-i:g))",
+    re.IGNORECASE,
+)
+# "Weg/mm", "T/K"; what may be another channel, "F/A", is a unit behind a word alone, and "m/s" is no channel.
+_DIVIDED = re.compile(r"[^/]*[^\W\d_][^/]*/\s*(\S.*)")
+_CHANNELS, _LENGTHS = frozenset("AdhlLtTWC"), frozenset({"m", "mm", "cm", "um", "km", "rad", "deg", "n", "N"})
+
+
+def unit_in_name(header: str) -> str | None:
+    """The unit that a header without brackets ends in, as DIN 1313 and habit write it; None where it may be a word.
+
+    Examples
+    --------
+    >>> unit_in_name("disp_mm"), unit_in_name("vel_mm_s"), unit_in_name("Kraft/kN"), unit_in_name("acc_g")
+    ('mm', 'mm/s', 'kN', 'g')
+    >>> unit_in_name("motor_A"), unit_in_name("F/A"), unit_in_name("u_in"), unit_in_name("m/s"), unit_in_name("x_m")
+    (None, None, None, None, None)
+    """
+    text = header.strip()
+    if match := re.fullmatch(r".+ (.+/.+)", text) or _DIVIDED.fullmatch(text):
+        symbols = parse_unit(match[1])
+        known = bool(symbols) and _KNOWN.issuperset(symbols) and text.split("/")[0] not in _LENGTHS
+        return match[1] if known and (match[1] not in _CHANNELS or text.index("/") > 2) else None
+    match = _ENDING.fullmatch(text)
+    if match is None or match["above"] is None:
+        return match and (match["whole"] or match["force"] or match["gravity"])
+    return f"{match['above']}/s" + ("^2" if match["squared"] else "")
+
 
 def require_unit(text: str, where: str) -> None:
     """Check that a unit is made of symbols that measurements are labelled with.
