@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 from studies.forces import draw_record
 
 import bayeq as bq
@@ -106,3 +107,19 @@ def test_a_force_that_is_smaller_than_the_noise_of_the_input_is_none():
 def test_a_single_row_has_no_frequency():
     motion = estimate_motion([bq.simulate("duffing", n=12, seed=1)], Roles.parse("x:v:a", inputs=["u"]))
     assert repeating(replace(motion, cuts=(1,)), [parse("x", ["x"])]) is None
+
+
+def test_a_held_input_behind_a_lag_is_no_further_term():
+    """A straight course is half a sample early; f + dt/(2 tau) (f - u) in place of f makes up for that."""
+    rng = np.random.default_rng(1)
+    step = expm(np.array([[0, 1, 0, 0], [-400, -2, 1, 0], [0, 0, -50, 50], [0, 0, 0, 0]]) / 500.0)
+    force, states = np.repeat(10.0 * rng.standard_normal(80), 10), np.zeros((801, 4))
+    for i, value in enumerate(force):
+        states[i, 3] = value
+        states[i + 1] = step @ states[i]
+    x, v, f, u = states[:-1].T
+    measured = {name: s + 0.01 * s.std() * rng.standard_normal(800) for name, s in {"x": x, "v": v}.items()}
+    record = bq.Record.from_arrays({**measured, "u": u}, fs=500.0)
+    eq = bq.discover(record, chains="x:v:", inputs=["u"], dictionary="x, v, x**3, f, u", law="df = (u - f)/{tau}")
+    assert eq[0].included == ("x", "v", "f")
+    assert eq[0].coef["f"] == pytest.approx(1.0, rel=0.02)

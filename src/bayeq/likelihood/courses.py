@@ -10,6 +10,7 @@ from bayeq.likelihood.fit import State, of_inputs
 from bayeq.likelihood.model import FLAT, Fitted, Task, calmed, finished, fit, of_motion
 from bayeq.likelihood.search import CLEARLY, on_the_way
 from bayeq.likelihood.start import with_courses
+from bayeq.likelihood.unknowns import settled
 from bayeq.numerics.settings import LIKELIHOOD
 from bayeq.states import Motion
 
@@ -17,19 +18,26 @@ from bayeq.states import Motion
 def with_other_inputs(motion: Motion, task: Task, best: Fitted) -> tuple[Task, Fitted]:
     """The fit, or one with other courses of inputs between samples where the motion is then likelier.
 
-    Clearly so where channels may be late, or lag behind by a law: an input that is held is half a sample late. Within
-    the half nat in which the likelihood is flat, as courses of finely sampled inputs are, the model stays.
+    Clearly so where channels may be late, or lag behind by a law: an input that is held is half a sample late. Terms
+    and constants of the law make up for that, so that there each course is compared with those that suit it. Within the
+    half nat in which the likelihood is flat, as courses of finely sampled inputs are, the model stays.
     """
-    margin = CLEARLY if task.layout.late or task.layout.roles.hidden else 0.0
+    lagging = task.layout.late or bool(task.layout.roles.hidden)
+    margin = CLEARLY if lagging else 0.0
     for k in range(len(task.layout.roles.inputs)):
         tried = [(task, best if best.averages is not None else fit(task, best.state, coarse=True))]
         for group in with_courses(motion, task, best, k):
-            there, state = max(group, key=lambda pair: at_once(*pair))
-            try:
-                tried.append((there, fit(there, noisier(there, calmed(state), k), coarse=True)))
-            except np.linalg.LinAlgError:
-                continue
+            for there, state in group if lagging else [max(group, key=lambda pair: at_once(*pair))]:
+                try:
+                    tried.append((there, fit(there, noisier(there, calmed(state), k), coarse=True)))
+                except np.linalg.LinAlgError:
+                    continue
         likeliest = max(tried, key=lambda pair: of_likeliest(*pair))
+        if lagging:
+            least = of_likeliest(*likeliest) - LIKELIHOOD.neighbour_window
+            near = [pair for pair in tried[1:] if of_likeliest(*pair) > least]
+            tried = [with_suitable(motion, *pair) for pair in (tried[0], *near)]
+            likeliest = max(tried, key=lambda pair: of_likeliest(*pair))
         gain = of_likeliest(*likeliest) - of_likeliest(*tried[0])
         if likeliest is not tried[0] and gain > margin:
             there, state = likeliest[0], likeliest[1].state
@@ -43,6 +51,15 @@ def with_other_inputs(motion: Motion, task: Task, best: Fitted) -> tuple[Task, F
                 continue
             task, best = max(pairs, key=lambda pair: of_motion(*pair))
     return task, best
+
+
+def with_suitable(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fitted]:
+    """A fit with the constants and terms that suit its course; itself where these cannot be evaluated."""
+    try:
+        there, found = settled(motion, task, fitted)
+        return on_the_way(there, found.state)
+    except np.linalg.LinAlgError:
+        return task, fitted
 
 
 def of_likeliest(task: Task, fitted: Fitted) -> float:
