@@ -195,12 +195,6 @@ def _bracketed(node: Node, least: int) -> str:
     return text if strength >= least else f"({text})"
 
 
-def _named(node: Node, kind: type[Symbol | Constant]) -> frozenset[str]:
-    """The names of all symbols, or of all constants, in a tree."""
-    own = frozenset((node.name,)) if isinstance(node, kind) else frozenset[str]()
-    return own.union(*(_named(part, kind) for part in arguments_of(node)))
-
-
 def nodes_of(node: Node) -> Iterator[Node]:
     """A node and all that it is made of."""
     yield node
@@ -218,10 +212,6 @@ def replaced(node: Node, values: Mapping[Node, Node]) -> Node:
     if node in values:
         return values[node]
     return with_arguments(node, tuple(replaced(part, values) for part in arguments_of(node)))
-
-
-def _size(node: Node) -> int:
-    return 1 + sum(map(_size, arguments_of(node)))
 
 
 @dataclass(frozen=True, repr=False)
@@ -262,11 +252,11 @@ class Expression:
 
     @cached_property
     def names(self) -> frozenset[str]:
-        return _named(self.tree, Symbol)
+        return frozenset(node.name for node in nodes_of(self.tree) if isinstance(node, Symbol))
 
     @cached_property
     def constants(self) -> frozenset[str]:
-        return _named(self.tree, Constant)
+        return frozenset(node.name for node in nodes_of(self.tree) if isinstance(node, Constant))
 
     @cached_property
     def unknowns(self) -> dict[str, Unknown]:
@@ -274,7 +264,7 @@ class Expression:
 
     @cached_property
     def size(self) -> int:
-        return _size(self.tree)
+        return sum(1 for _ in nodes_of(self.tree))
 
     def named(self) -> Expression:
         """The expression with the names of its unknown constants alone, without ranges and values."""
