@@ -18,8 +18,7 @@ from threadpoolctl import threadpool_limits
 from bayeq.arrays import Floats
 from bayeq.errors import BayeqError, BayeqWarning, whole_number
 from bayeq.expressions import parse
-from bayeq.resumable.store import Key, ResultStore
-from bayeq.resumable.workers import MAX_JOBS, fill
+from bayeq.resumable.store import MAX_JOBS, Key, ResultStore, fill
 
 # The name under which a law holds the constant of an equation.
 CONSTANT = "1"

@@ -41,8 +41,7 @@ from bayeq.regression.constraints import parse_constraints
 from bayeq.regression.design import build_design
 from bayeq.regression.joint import fit_equations, record_of
 from bayeq.regression.regression import Regression
-from bayeq.resumable.store import Key, ResultStore
-from bayeq.resumable.workers import AHEAD, MAX_JOBS, fill
+from bayeq.resumable.store import AHEAD, MAX_JOBS, Key, ResultStore, fill
 from bayeq.selection.select import Rules, select
 from bayeq.states import Roles, Smooth, estimate_motion, parse_chains
 from bayeq.streaming.cluster import Cluster
