@@ -59,6 +59,14 @@ class Cells(NamedTuple):
     cells: Sequence[Cell]
     outcomes: Sequence[list[Outcome]]
 
+    def grouped(self, key: Callable[[Cell], Cell]) -> dict[Cell, list[tuple[str, Outcome]]]:
+        """Outcomes, each with its system, by a key of their cells; none without any."""
+        out: dict[Cell, list[tuple[str, Outcome]]] = {}
+        for cell, outcomes in zip(self.cells, self.outcomes, strict=True):
+            for one in outcomes:
+                out.setdefault(key(cell), []).append((str(cell[0]), one))
+        return out
+
 
 def run_cells(
     store: str | Path,

@@ -14,7 +14,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, astuple, dataclass, field, fields, replace
 from functools import lru_cache, partial
 from itertools import groupby
 from pathlib import Path
@@ -215,23 +215,10 @@ def _run(config: StudyConfig, task: Task, name: str, data: Realisation) -> Resul
         raise
     except Exception as error:  # noqa: BLE001 - as above: recorded with its type and message
         return Result(task.system, task.index, name, failure=_message(error))
-    return Result(
-        system=task.system,
-        index=task.index,
-        algorithm=name,
-        metrics=metrics,
-        seconds=seconds,
-        selected=tuple(data.train.names[j] for j in np.flatnonzero(answer.support)),
-        converged=bool(answer.converged),
-        extras=_extras(answer),
-    )
-
-
-def _extras(posterior: Posterior) -> dict[str, Any]:
-    """What else an algorithm says, as plain numbers."""
-    found = {name: getattr(posterior, name) for name in ("elbo", "rhat")}
-    known = {name: float(value) for name, value in found.items() if value is not None and math.isfinite(value)}
-    return {"n_iter": int(posterior.n_iter), **known}
+    selected = tuple(data.train.names[j] for j in np.flatnonzero(answer.support))
+    said = {name: value for name in ("elbo", "rhat") if (value := getattr(answer, name)) is not None}
+    extras = {"n_iter": int(answer.n_iter)} | {k: float(value) for k, value in said.items() if math.isfinite(value)}
+    return Result(task.system, task.index, name, metrics, seconds, selected, bool(answer.converged), extras)
 
 
 def _message(error: Exception) -> str:
@@ -402,38 +389,21 @@ class Store(ResultStore):
 
 
 def _row(result: Result) -> tuple[Any, ...]:
-    m = result.metrics
-    return (
-        result.system,
-        result.index,
-        result.algorithm,
-        *([None] * len(METRICS) if m is None else [float(getattr(m, name)) for name in METRICS]),
-        result.seconds,
-        json.dumps(list(result.selected)),
-        result.converged,
-        json.dumps(dict(result.extras), sort_keys=True),
-        result.failure,
-    )
+    values = [None] * len(METRICS) if result.metrics is None else map(float, astuple(result.metrics))
+    selected, extras = json.dumps(list(result.selected)), json.dumps(dict(result.extras), sort_keys=True)
+    about = (result.system, result.index, result.algorithm)
+    return (*about, *values, result.seconds, selected, result.converged, extras, result.failure)
 
 
 def _result(row: tuple[Any, ...]) -> Result:
     system, index, algorithm, *values, seconds, selected, converged, extras, failure = row
     metrics = None
     if failure is None:
-        errors = dict(zip(METRICS, map(float, values), strict=True))
-        exact, superset = bool(errors.pop("exact")), bool(errors.pop("superset"))
-        metrics = Metrics(**errors, exact=exact, superset=superset)
-    return Result(
-        system=str(system),
-        index=int(index),
-        algorithm=str(algorithm),
-        metrics=metrics,
-        seconds=None if seconds is None else float(seconds),
-        selected=tuple(json.loads(selected)),
-        converged=None if converged is None else bool(converged),
-        extras=json.loads(extras),
-        failure=failure,
-    )
+        *errors, exact, superset = map(float, values)
+        metrics = Metrics(*errors, exact=bool(exact), superset=bool(superset))
+    seconds, converged = None if seconds is None else float(seconds), None if converged is None else bool(converged)
+    selected, extras = tuple(json.loads(selected)), json.loads(extras)
+    return Result(str(system), int(index), str(algorithm), metrics, seconds, selected, converged, extras, failure)
 
 
 # Work that is sent to a worker at a time [s], and realisations at most: a kill loses no more than this.
