@@ -175,14 +175,11 @@ class Progress:
             if self.bar is None:
                 self._open_bar()
         elif self.stage != self.named or now - self.said >= INTERVAL:
-            if self.stage != self.named and self.verbose:
-                self.said = now  # it has been named when it began
-            else:
+            if self.stage == self.named or not self.verbose:  # which has named it when it began
                 left = self._left(now) if self.total > 1 else ""
                 spent = f", {now - self.began:.0f} s" if now - self.began >= 1.0 else ""
                 say(f"{PROGRESS}{self._described()}{left}{spent}")
-                self.said = now
-            self.named = self.stage
+            self.said, self.named = now, self.stage
 
     def _described(self) -> str:
         """The stage in words, and how much of it is done."""

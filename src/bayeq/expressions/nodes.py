@@ -218,23 +218,6 @@ def replaced(node: Node, values: Mapping[Node, Node]) -> Node:
 class Expression:
     """A term or a right-hand side, as made by `parse`; equal, and hashed, by its tree.
 
-    Attributes
-    ----------
-    tree : Node
-        The root of the expression tree.
-    text : str
-        Canonical text: no spaces, no needless brackets, Python's syntax; ``parse(e.text) == e``.
-    names : frozenset of str
-        The symbols that occur.
-    constants : frozenset of str
-        The names of numbers that occur.
-    unknowns : dict of str to Unknown
-        Constants whose values are to be found, by name.
-    size : int
-        Number of nodes: 1 of ``x``, 2 of ``sign(v)``, 3 of ``x**3``.
-    choice : str
-        The either-or that the term is a member of, as it was written.
-
     Examples
     --------
     >>> from bayeq.expressions import parse
@@ -243,27 +226,32 @@ class Expression:
     ('x**2*v-sin(th)', ['th', 'v', 'x'])
     """
 
-    tree: Node
-    choice: str = field(default="", compare=False)
+    tree: Node  # the root of the expression tree
+    choice: str = field(default="", compare=False)  # the either-or that the term is a member of, as it was written
 
     @cached_property
     def text(self) -> str:
+        """Canonical text: no spaces, no needless brackets, Python's syntax; ``parse(e.text) == e``."""
         return _written(self.tree)[0]
 
     @cached_property
     def names(self) -> frozenset[str]:
+        """The symbols that occur."""
         return frozenset(node.name for node in nodes_of(self.tree) if isinstance(node, Symbol))
 
     @cached_property
     def constants(self) -> frozenset[str]:
+        """The names of numbers that occur."""
         return frozenset(node.name for node in nodes_of(self.tree) if isinstance(node, Constant))
 
     @cached_property
     def unknowns(self) -> dict[str, Unknown]:
+        """Constants whose values are to be found, by name."""
         return {node.name: node for node in unknowns_of(self.tree)}
 
     @cached_property
     def size(self) -> int:
+        """Number of nodes: 1 of ``x``, 2 of ``sign(v)``, 3 of ``x**3``."""
         return sum(1 for _ in nodes_of(self.tree))
 
     def named(self) -> Expression:

@@ -28,30 +28,22 @@ def _say_compiling() -> None:
 
 
 class Kernel:
-    """A compiled function; it is called like the one it was made of, and kernels call each other.
-
-    Attributes
-    ----------
-    py_func : callable
-        The function itself.
-    dispatcher : numba.core.dispatcher.Dispatcher
-        Compiled, made at the first call; its attributes are the kernel's too.
-    inner : numba.core.dispatcher.Dispatcher
-        The same for kernels that call this one.
-    """
+    """A compiled function; it is called like the one it was made of, and kernels call each other."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         update_wrapper(self, function)
-        self.py_func = function
+        self.py_func = function  # the function itself
 
     @cached_property
     def dispatcher(self) -> Any:
+        """numba's dispatcher, made at the first call; its attributes are the kernel's too."""
         from bayeq.kernels.compiler import cached_dispatcher
 
         return cached_dispatcher(self.py_func, _say_compiling)
 
     @cached_property
     def inner(self) -> Any:
+        """The same for kernels that call this one."""
         from bayeq.kernels.compiler import inner_dispatcher
 
         return inner_dispatcher(self.py_func)

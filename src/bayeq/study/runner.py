@@ -18,7 +18,7 @@ from dataclasses import asdict, astuple, dataclass, field, fields, replace
 from functools import lru_cache, partial
 from itertools import groupby
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, Literal, TypeVar, cast
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -53,6 +53,8 @@ ALGORITHM_STREAM = 1
 
 LONGEST_MESSAGE = 300
 
+Answer = TypeVar("Answer")
+
 
 @dataclass(frozen=True, slots=True)
 class Realisation:
@@ -68,7 +70,7 @@ class Realisation:
 Algorithm = Callable[[Realisation, StudyConfig, tuple[int, ...]], Posterior]
 
 
-def _posed(train: Gram, config: StudyConfig) -> tuple[Standardised, Prior]:
+def posed(train: Gram, config: StudyConfig) -> tuple[Standardised, Prior]:
     """The standardised problem and its prior: the paper's, or on smoothed records the defaults of `bayeq.discover`.
 
     Smoothing raises the signal-to-noise ratio, for which the paper's slab is too narrow: its variance is then learned,
@@ -96,7 +98,7 @@ def _rvm(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Poste
 
 def _gibbs(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Posterior:
     """SS-MCMC: the collapsed Gibbs sampler, eqs. (33)-(34), as in the paper without exchange steps."""
-    standard, prior = _posed(data.train, config)
+    standard, prior = posed(data.train, config)
     chains = {"chains": config.chains, "samples": config.samples, "burn_in": config.burn_in}
     posterior = spike_slab_gibbs(standard.gram, prior, **chains, exchange=False, seed=seed, keep_draws=False)
     return posterior.rescaled(standard)
@@ -113,7 +115,7 @@ def _auto(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Post
 
 def _bma(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Posterior:
     """Model averaging with exact weights; selected is the median probability model."""
-    standard, prior = _posed(data.train, config)
+    standard, prior = posed(data.train, config)
     return spike_slab_bma(standard.gram, prior).rescaled(standard)
 
 
@@ -121,7 +123,7 @@ def _vb(
     init: Literal["search", "greedy", "rvm"], data: Realisation, config: StudyConfig, seed: tuple[int, ...]
 ) -> Posterior:
     """SS-VB, from one start or several."""
-    standard, prior = _posed(data.train, config)
+    standard, prior = posed(data.train, config)
     return spike_slab_vb(standard.gram, prior, init=init).rescaled(standard)
 
 
@@ -184,45 +186,47 @@ def draw(config: StudyConfig, system: str, index: int) -> Realisation:
 
 
 def realise(config: StudyConfig, task: Task) -> list[Result]:
-    """Run the algorithms of a task; what fails is a result too.
-
-    Only running out of memory, a package that is missing, and the user stop it.
-    """
+    """Run the algorithms of a task; what fails is a result too."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # what they say, not having converged, is in the result
-        try:
-            data = draw(config, task.system, task.index)
-        except (MemoryError, ImportError):
-            raise
-        except Exception as error:  # noqa: BLE001 - one bad realisation must not end a study of thousands
-            failure = _message(error)
-            return [Result(task.system, task.index, name, failure=failure) for name in task.algorithms]
-        return [_run(config, task, name, data) for name in task.algorithms]
+        data, failure = _tried(draw, config, task.system, task.index)
+        results = []
+        for name in task.algorithms:
+            result = None
+            if data is not None:
+                result, failure = _tried(_run, config, task, name, data)
+            results.append(result or Result(task.system, task.index, name, failure=failure))
+    return results
+
+
+def _tried(work: Callable[..., Answer], *arguments: Any) -> tuple[Answer | None, str | None]:
+    """What some work gives, or the type and message of its exception.
+
+    One bad realisation must not end a study of thousands; only running out of memory, a package that is missing, and
+    the user stop it.
+    """
+    try:
+        return work(*arguments), None
+    except (MemoryError, ImportError):
+        raise
+    except Exception as error:  # noqa: BLE001
+        return None, one_line(f"{type(error).__name__}: {error}")[:LONGEST_MESSAGE]
 
 
 def _run(config: StudyConfig, task: Task, name: str, data: Realisation) -> Result:
     """One algorithm on one realisation, timed."""
     seed = (*_seed(config, task.system, task.index), ALGORITHM_STREAM)
     algorithm = ALGORITHMS[name]
-    try:
-        start = time.perf_counter()
-        answer = algorithm(data, config, seed)
-        seconds = time.perf_counter() - start
-        metrics = measure(data.train, data.test, data.truth, answer.support, answer.coef)
-        if not metrics.finite:
-            raise FloatingPointError("coefficients that are not finite")
-    except (MemoryError, ImportError):
-        raise
-    except Exception as error:  # noqa: BLE001 - as above: recorded with its type and message
-        return Result(task.system, task.index, name, failure=_message(error))
+    start = time.perf_counter()
+    answer = algorithm(data, config, seed)
+    seconds = time.perf_counter() - start
+    metrics = measure(data.train, data.test, data.truth, answer.support, answer.coef)
+    if not metrics.finite:
+        raise FloatingPointError("coefficients that are not finite")
     selected = tuple(data.train.names[j] for j in np.flatnonzero(answer.support))
     said = {name: value for name in ("elbo", "rhat") if (value := getattr(answer, name)) is not None}
     extras = {"n_iter": int(answer.n_iter)} | {k: float(value) for k, value in said.items() if math.isfinite(value)}
     return Result(task.system, task.index, name, metrics, seconds, selected, bool(answer.converged), extras)
-
-
-def _message(error: Exception) -> str:
-    return one_line(f"{type(error).__name__}: {error}")[:LONGEST_MESSAGE]
 
 
 # (system, algorithm) -> how many realisations were asked for.
