@@ -123,8 +123,8 @@ def figures(folder: Path, seed: int, systems: str) -> None:
 # The options of the benchmarks that others have set.
 _of_others = together(
     option("--systems", help="Systems, separated by commas; by default all."),
-    option("--seeds", type=int, default=1, help="Records of each system and noise."),
-    option("--seed", type=int, default=0, help="Seed of the first record."),
+    option("--seeds", "records", type=int, default=1, help="Records of each system and noise."),
+    option("--seed", "first_seed", type=int, default=0, help="Seed of the first record."),
     _jobs,
     option(
         "--store",
@@ -174,26 +174,20 @@ def _run_of_others(
     name: str,
     benchmark: Any,
     given: dict[str, Any],
-    *,
     systems: str | None,
-    seeds: int,
-    seed: int,
-    jobs: int,
     store: Path,
     each: bool,
     form: str,
+    **how: Any,
 ) -> None:
     """Run the cells that are asked for, and print their table."""
     from bayeq.study.cells import run_cells
 
     names = None if systems is None else _names(systems)
     with Progress() as progress:
-        shown = partial(progress, "records")
+        how["progress"] = partial(progress, "records")
         try:
-            cells = benchmark.cells_of(names, **given)
-            done = run_cells(
-                store, name, cells, benchmark.measure, records=seeds, first_seed=seed, jobs=jobs, progress=shown
-            )
+            done = run_cells(store, name, benchmark.cells_of(names, **given), benchmark.measure, **how)
         except KeyboardInterrupt:
             raise InterruptedRun(f"interrupted: what was done is in {store}; the same command continues") from None
     import pandas as pd

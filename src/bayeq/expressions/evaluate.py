@@ -133,7 +133,8 @@ _OPCODES = {op: k for k, op in enumerate(ARITHMETIC)} | {op: one.opcode for op, 
 # what instructions make of constants
 _ON_CONSTANTS: dict[int, Callable[..., Any]] = {
     **dict(enumerate(ARITHMETIC.values())),
-    **{one.opcode: one.numpy for one in (*COMPARISONS.values(), *FUNCTIONS.values()) if one.opcode},
+    **{one.opcode: one.numpy for one in COMPARISONS.values()},
+    **{one.opcode: one.numpy for one in FUNCTIONS.values() if one.opcode},
     NEGATE: np.negative,
     PICK: lambda a, b: b if a else 0.0,
     UNLESS: lambda a, b: 0.0 if a else b,

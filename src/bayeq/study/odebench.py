@@ -266,17 +266,17 @@ def cells_of(
 
 def summary(done: Cells) -> Iterator[dict[str, object]]:
     """A line for every noise, share of points, dictionary and method, of records that come to rest and others."""
-    for about, found in done.grouped(lambda cell: (*cell[2:], _rests(cell))).items():
+    for about, found in done.grouped(_kind).items():
         yield {**_about(*about), "records": len(found), **_rates_of([one for _, one in found])}
 
 
-def _rests(cell: Cell) -> bool:
-    """Whether a record comes to rest."""
-    return bool(_known()[str(cell[0])]["rest"][int(cell[1])])
+def _kind(cell: Cell) -> Cell:
+    """What a line is about: all but system and start, and whether the record comes to rest."""
+    return (*cell[2:], bool(_known()[str(cell[0])]["rest"][int(cell[1])]))
 
 
 def _about(noise: Any, points: Any, dictionary: Any, method: Any, rests: Any) -> dict[str, object]:
-    """What a line is about."""
+    """The columns that say what a line is about."""
     return {
         "noise": noise,
         "points": f"{100 * points:g} %",
@@ -294,7 +294,7 @@ def each(done: Cells) -> Iterator[dict[str, object]]:
         line: dict[str, object] = {
             "system": cell[0],
             "start": cell[1],
-            **_about(*cell[2:], _rests(cell)),
+            **_about(*_kind(cell)),
             "R2": f"{scores[0]:.4f}",
             "R2_other_start": f"{scores[1]:.4f}",
             "verdicts": ", ".join(one.get("verdicts", [])),

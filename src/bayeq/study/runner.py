@@ -403,8 +403,8 @@ def _result(row: tuple[Any, ...]) -> Result:
     system, index, algorithm, *values, seconds, selected, converged, extras, failure = row
     metrics = None
     if failure is None:
-        *errors, exact, superset = map(float, values)
-        metrics = Metrics(*errors, exact=bool(exact), superset=bool(superset))
+        scaled, error, predicted, fdr, exact, superset = map(float, values)
+        metrics = Metrics(scaled, error, predicted, fdr, bool(exact), bool(superset))
     seconds, converged = None if seconds is None else float(seconds), None if converged is None else bool(converged)
     selected, extras = tuple(json.loads(selected)), json.loads(extras)
     return Result(str(system), int(index), str(algorithm), metrics, seconds, selected, converged, extras, failure)
