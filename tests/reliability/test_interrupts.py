@@ -107,7 +107,7 @@ def sweep(name, place, number):
 WORKERS = """
 import signal
 from pathlib import Path
-from bayeq.resumable.workers import compute
+from bayeq.resumable.store import compute
 
 def heeded(task):
     blocked = signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])

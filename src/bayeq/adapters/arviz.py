@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bayeq.arrays import Floats
-from bayeq.errors import InputError, MissingExtraError
+from bayeq.errors import InputError, needing
 from bayeq.inference.posterior import Draws, Posterior
 
 if TYPE_CHECKING:
@@ -19,13 +19,9 @@ if TYPE_CHECKING:
 
 
 def _arviz(purpose: str) -> Any:
-    try:
-        with warnings.catch_warnings():
-            # ArviZ announces its refactoring on import
-            warnings.simplefilter("ignore", FutureWarning)
-            import arviz
-    except ImportError as error:
-        raise MissingExtraError("ArviZ", "arviz", purpose) from error
+    with needing("ArviZ", "arviz", purpose), warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)  # it announces its refactoring on import
+        import arviz
     return arviz
 
 

@@ -76,10 +76,7 @@ def proposed(info: Mapping[str, Any]) -> dict[str, Choice]:
 def chains_of(choices: Mapping[str, Choice]) -> list[str]:
     """The chains that roles make, as ``--chain`` takes them.
 
-    Raises
-    ------
-    InputError
-        No channel moves, two have the same role of the same coordinate, or a rate has no state.
+    InputError: no channel moves, two have the same role of the same coordinate, or a rate has no state.
 
     Examples
     --------

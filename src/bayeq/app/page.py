@@ -10,7 +10,7 @@ from typing import Any
 
 from nicegui import background_tasks, ui
 
-from bayeq.app.choices import INPUT, RATE, READING, ROLES, Choice
+from bayeq.app.choices import EQUATION, INPUT, RATE, READING, REPORT, ROLES, Choice
 from bayeq.app.session import LARGEST, LOOKING, Session, safe_name
 from bayeq.equation.report.page import STYLE
 from bayeq.errors import InputError
@@ -30,6 +30,8 @@ DROP = """<div class="drop-words"><span>{words}</span>
   </q-btn>
 </div>"""
 FORMATS = "CSV, Excel, MATLAB, HDF5, Parquet, LabVIEW, universal files, WAV and others"
+
+SIZE = f"{LARGEST // 1_000_000} MB"
 
 # More channels are not offered on a page.
 MOST_CHANNELS = 60
@@ -105,7 +107,6 @@ def file_step(session: Session) -> None:
         session.file_error = words
         refresh("file")
 
-    size = f"{LARGEST // 1_000_000} MB"
     if session.busy == LOOKING:
         text("Another file can be opened when this is done or stopped.", "note")
     elif session.busy:
@@ -113,7 +114,7 @@ def file_step(session: Session) -> None:
             text(f"{session.busy.capitalize()} ...", "note")
             stop_button(session)
     else:
-        words = f"Drop a measured file here, up to {size}: {FORMATS}."
+        words = f"Drop a measured file here, up to {SIZE}: {FORMATS}."
         _upload(dropped, refused, DROP.format(words=words, label="Choose a file", look="unelevated"))
     if session.file_error:
         message(session.file_error, "error")
@@ -145,16 +146,15 @@ def file_step(session: Session) -> None:
 
 def _upload(arrived: Callable[[Any], Any], refused: Callable[[str], None], header: str) -> None:
     """A box that files are dropped into."""
-    size = f"{LARGEST // 1_000_000} MB"
     upload = ui.upload(
         on_upload=arrived,
-        on_rejected=lambda: refused(f"the file is larger than {size}: open it where it is, by bayeq app FILE"),
+        on_rejected=lambda: refused(f"the file is larger than {SIZE}: open it where it is, by bayeq app FILE"),
         max_file_size=LARGEST,
         auto_upload=True,
     )
     upload.props("flat").classes("drop")
     upload.add_slot("header", header)
-    upload.on("failed", lambda: refused(f"the file did not arrive: is it larger than {size}, or was it moved?"))
+    upload.on("failed", lambda: refused(f"the file did not arrive: is it larger than {SIZE}, or was it moved?"))
 
 
 @ui.refreshable
@@ -259,15 +259,12 @@ def result_step(session: Session) -> None:
         return
     heading(5, "Result")
     with ui.element("div").classes("buttons"):
-        for words, file, ending in (
-            ("Download report", "report.html", "report.html"),
-            ("Download equation (JSON)", "equation.json", "equation.json"),
-        ):
+        for words, file in (("Download report", REPORT), ("Download equation (JSON)", EQUATION)):
             link = ui.link(words, f"/{file}?run={found.number}").classes("button-like")
-            link.props["download"] = f"{found.name}_{ending}"
+            link.props["download"] = f"{found.name}_{file}"
     text("Change what is above and press Discover to look again.", "note")
     frame = ui.element("iframe").classes("report").props('title="Report: verdict, equation, pictures and warnings"')
-    frame.props["src"] = f"/report.html?run={found.number}"
+    frame.props["src"] = f"/{REPORT}?run={found.number}"
     frame.on("load", js_handler=FIT)
 
 

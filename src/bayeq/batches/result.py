@@ -275,31 +275,25 @@ class Batch:
 
     def rows(self) -> list[dict[str, Any]]:
         """The rows of `table`, as plain data."""
-        equations = [(k, one.path, eq) for k, one in enumerate(self.files) for eq in _equations(one.content)]
-        kept: dict[str, dict[str, None]] = {}
-        for equation in _equations(self._common) or [equation for _, _, equation in equations]:
-            kept.setdefault(equation["target"], {}).update(
-                {term["name"]: None for term in _terms(equation) if term["shown"]}
-            )
-        shared = {
-            (equation["target"], term["name"]): _values(term, "common_")
-            for equation in _equations(self._common)
-            for term in _terms(equation)
+        found = [(k, one.path, _terms(eq)) for k, one in enumerate(self.files) for eq in _equations(one.content)]
+        shared = [term for equation in _equations(self._common) for term in _terms(equation)]
+        places: dict[str, list[str]] = {}
+        for term in shared or [term for *_, terms in found for term in terms]:
+            own = places.setdefault(term["target"], [])
+            if term["shown"] and term["term"] not in own:
+                own.append(term["term"])
+        for own in places.values():  # in the order in which files bring them, the constant last
+            own.sort(key=CONSTANT.__eq__)
+        beside = {
+            (term["target"], term["term"]): {f"common_{name}": term[name] for name in ("coef", "ci_low", "ci_high")}
+            for term in shared
         }
-        order = {target: {name: k for k, name in enumerate(_in_order(names))} for target, names in kept.items()}
         out = []
-        for k, path, equation in equations:
-            target, place = equation["target"], order[equation["target"]]
-            terms = sorted((term for term in _terms(equation) if term["name"] in place), key=lambda t: place[t["name"]])
-            for term in terms:
-                row = {"order": k, "file": path, "target": target, "term": term["name"], **_values(term)}
-                row |= {name: term[name] for name in ("pip", "included", "shown")}
-                row["shown"] |= self._common is not None  # the constant too, which no prior forces in
-                row |= {"verdict": equation["verdict"]["kind"], "unit": term["unit"]}
-                if self._common is not None:
-                    beside = shared[target, term["name"]]
-                    row |= {name: value for name, value in beside.items() if name != "common_sd"}
-                out.append(row)
+        for k, path, terms in found:
+            kept = [term for term in terms if term["term"] in places[term["target"]]]
+            for term in sorted(kept, key=lambda one: places[one["target"]].index(one["term"])):
+                term["shown"] |= self._common is not None  # the constant too, which no prior forces in
+                out.append({"order": k, "file": path, **term, **beside.get((term["target"], term["term"]), {})})
         return out
 
     def plot(self) -> Figure:
@@ -346,50 +340,36 @@ def _equations(content: Mapping[str, Any] | None) -> list[Mapping[str, Any]]:
     return [] if content is None else list(content["equations"])
 
 
-def _terms(equation: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """Terms of an equation, the constants inside them, and the constant, which is in it where it is written out."""
-    low, high = sorted(equation["intercept_printed_ci95"])
-    pip = equation["intercept_pip"]
-    matters = pip > 0.5 if pip is not None else low > 0.0 or high < 0.0
-    constant = {
-        "name": CONSTANT,
-        "shown_coef": equation["intercept"],
-        "shown_sd": equation["intercept_sd"],
-        "printed_ci95": equation["intercept_printed_ci95"],
-        "pip": pip,
-        "included": matters,
-        "shown": matters,
-        "unit": None,
-    }
-    shown = {term["name"] for term in equation["terms"] if term["shown"]}
-    inside = [
-        {
-            "name": f"{{{one['name']}}}",
-            "shown_coef": one["value"],
-            "shown_sd": one["sd"] * (abs(one["value"]) if one["logarithmic"] else 1.0),
-            "printed_ci95": one["ci95"],
-            "pip": None,
-            "included": True,
-            "shown": True,
-            "unit": one.get("unit"),
-        }
-        for one in equation.get("constants", ())
-        if one["sd"] is not None and shown & set(one["terms"])
-    ]
-    return [*equation["terms"], *inside, constant]
+def _terms(equation: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """What rows say of the terms of an equation, the constants inside them, and the constant.
 
+    The constant is in the equation where it is written out.
+    """
 
-def _values(term: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """A coefficient and its interval, as it is printed."""
-    low, high = sorted(term["printed_ci95"])
-    names = ("coef", "sd", "ci_low", "ci_high")
-    values = (term["shown_coef"], term["shown_sd"], low, high)
-    return {f"{prefix}{name}": value for name, value in zip(names, values, strict=True)}
+    def row(
+        name: str,
+        coef: float,
+        sd: float,
+        ci95: Sequence[float],
+        pip: float | None,
+        included: bool,
+        shown: bool,
+        unit: Any,
+    ) -> dict[str, Any]:
+        stated = (pip, included, shown, equation["verdict"]["kind"], unit)
+        return dict(zip(COLUMNS[2:], (equation["target"], name, coef, sd, *sorted(ci95), *stated), strict=True))
 
-
-def _in_order(names: Mapping[str, None]) -> list[str]:
-    """Terms in the order in which files bring them, the constant last."""
-    return [*(name for name in names if name != CONSTANT), *(name for name in names if name == CONSTANT)]
+    visible = {term["name"] for term in equation["terms"] if term["shown"]}
+    names = ("name", "shown_coef", "shown_sd", "printed_ci95", "pip", "included", "shown", "unit")
+    terms = [row(*(term[name] for name in names)) for term in equation["terms"]]
+    for one in equation.get("constants", ()):
+        if one["sd"] is not None and visible & set(one["terms"]):
+            sd = one["sd"] * (abs(one["value"]) if one["logarithmic"] else 1.0)
+            terms.append(row(f"{{{one['name']}}}", one["value"], sd, one["ci95"], None, True, True, one.get("unit")))
+    interval, pip = equation["intercept_printed_ci95"], equation["intercept_pip"]
+    matters = pip > 0.5 if pip is not None else min(interval) > 0.0 or max(interval) < 0.0
+    intercept = (equation["intercept"], equation["intercept_sd"], interval, pip, matters, matters, None)
+    return [*terms, row(CONSTANT, *intercept)]
 
 
 def _line(rows: Sequence[dict[str, Any]], term: str) -> str:

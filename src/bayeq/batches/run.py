@@ -31,8 +31,7 @@ from bayeq.errors import (
 )
 from bayeq.records import Record, as_records, read
 from bayeq.resumable import Progress, silent
-from bayeq.resumable.store import Key, ResultStore
-from bayeq.resumable.workers import MAX_JOBS, fill
+from bayeq.resumable.store import MAX_JOBS, Key, ResultStore, fill
 
 #: Stages of a batch: the equation that files have in common, and the files.
 COMMON, FILES = "common equation", "files"

@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.shell_completion import get_completion_class, shell_complete
 
-from bayeq.cli.batch import batch
-from bayeq.cli.discover import discover
+from bayeq.cli.discover import batch, discover
 from bayeq.cli.options import FILE, Command, Names, json_option, measured, option
 from bayeq.cli.reading import Reading, file_options
 from bayeq.cli.saved import benchmark, plan, predict, show
@@ -142,22 +141,12 @@ def systems(as_json: bool) -> None:
     """List the known systems and their equations."""
     from bayeq.systems import SYSTEMS
 
+    known = SYSTEMS.load().values()
     if as_json:
-        rows = [
-            {
-                "name": s.name,
-                "title": s.title,
-                "chains": list(s.chains),
-                "inputs": list(s.inputs),
-                "parameters": dict(s.parameters),
-                "terms": {target: dict(terms) for target, terms in s.terms.items()},
-                "citation": s.citation,
-            }
-            for s in SYSTEMS.load().values()
-        ]
-        click.echo(json.dumps({"systems": rows}))
+        names = ("name", "title", "chains", "inputs", "parameters", "terms", "citation")
+        click.echo(json.dumps({"systems": [{name: getattr(s, name) for name in names} for s in known]}, default=dict))
         return
-    for s in SYSTEMS.load().values():
+    for s in known:
         click.echo(f"{s.name}: {s.title}")
         for target, terms in s.terms.items():
             right = " + ".join(f"({coefficient})*{term}" for term, coefficient in terms.items())

@@ -16,7 +16,7 @@ import click
 
 from bayeq.cli import options as opt
 from bayeq.cli.reading import Reading, plain_files, reading_options
-from bayeq.cli.terminal import Progress, require_output
+from bayeq.cli.terminal import Progress, require_output, show_equations
 from bayeq.errors import DataWarning, InputError, UnknownNameError
 
 EXAMPLES = """
@@ -67,7 +67,6 @@ def show(
         raise InputError(f"--json and --{'latex' if latex else 'explain'} exclude each other; give one of them")
     if latex and (explain or physical):
         raise InputError("--latex prints the equations alone; leave out --explain and --physical")
-    from bayeq.cli.terminal import show_equations
     from bayeq.equation.load import load
 
     equations = load(file)
@@ -117,8 +116,7 @@ def predict(
         raise InputError(f"--draws {draws}: give a number of runs, 0 or more")
     if seed < 0:
         raise InputError(f"--seed {seed}: a seed is a whole number, 0 or more")
-    if forecast is not None:
-        require_output(forecast, [equations, *plain_files(files)], "table or figure")
+    require_output(forecast, [equations, *plain_files(files)], "table or figure")
     from bayeq.equation.load import load
 
     found = load(equations)
@@ -264,10 +262,8 @@ def plan(
     EQ.json holds equations that `bayeq discover --save` has written. Band-limited noise, sweep and multisine are
     simulated and compared by the information that they are expected to bring by second.
     """
-    if figure is not None:
-        require_output(figure, [file], "figure")
-    if output is not None:
-        require_output(output, [file], "table")
+    require_output(figure, [file], "figure")
+    require_output(output, [file], "table")
     given = {
         "amplitude": _amplitude(amplitudes),
         "band": None if band is None else opt.pair_of_numbers("--band", band),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import click
 
@@ -12,6 +12,9 @@ from bayeq.cli.options import FILE, Command, cluster_client, json_option, number
 from bayeq.cli.terminal import Progress, say
 from bayeq.errors import InputError, InterruptedRun
 from bayeq.study.config import DEFAULT_ALGORITHMS, STUDY_SYSTEMS, StudyConfig
+
+if TYPE_CHECKING:
+    from bayeq.study.table import Format
 
 # Options that several commands have.
 _systems = option("--systems", default=",".join(STUDY_SYSTEMS), help="Systems, separated by commas.")
@@ -46,16 +49,7 @@ def study(context: click.Context) -> None:
     default="none",
     help="The paper's raw noisy channels (none), or the likelihood of the record (auto, formerly band).",
 )
-def table2(
-    realisations: int,
-    jobs: int,
-    dask: str | None,
-    seed: int,
-    store: Path,
-    systems: str,
-    algorithms: str,
-    smooth: Literal["none", "auto", "band"],
-) -> None:
+def table2(dask: str | None, seed: int, store: Path, systems: str, algorithms: str, smooth: str, **how: Any) -> None:
     """Run the Monte Carlo study of the paper's Tables 2 and 3, or what is missing of it."""
     with Progress() as progress:
         try:
@@ -67,26 +61,29 @@ def table2(
                     store,
                     systems=_names(systems),
                     algorithms=_names(algorithms),
-                    realisations=realisations,
-                    jobs=jobs,
                     config=StudyConfig(seed=seed, smooth=current(smooth)),
                     progress=partial(progress, "realisations"),
                     client=client,
+                    **how,
                 )
         except KeyboardInterrupt:
             raise InterruptedRun(
                 f"interrupted: {progress.done} realisations were added to {store}; the same command continues"
             ) from None
-    from bayeq.study.runner import Store
-    from bayeq.study.table import show as render
-
     if outcome.realisations:
         rate = outcome.realisations / outcome.seconds
         say(f"{store}: {outcome.realisations} realisations in {outcome.seconds:.1f} s ({rate:.3g}/s)")
     if outcome.failures:
         say(f"bayeq: warning: {outcome.failures} runs failed, see below the table")
+    _print_table(store)
+
+
+def _print_table(store: Path, form: Format = "text", table: Literal[2, 3] = 2) -> None:
+    from bayeq.study.runner import Store
+    from bayeq.study.table import show as render
+
     with Store(store) as file:
-        click.echo(render(file))
+        click.echo(render(file, form, table))
 
 
 @study.command(cls=Command)
@@ -101,15 +98,11 @@ def show(store: Path, form: Literal["text", "markdown", "csv"], as_json: bool, t
 
     STORE is its file of results.
     """
-    from bayeq.study.runner import Store
-    from bayeq.study.table import show as render
-
     if table not in (2, 3):
         raise InputError(f"there is no table {table}; choose --table 2 or --table 3")
     if as_json and form != "text":
         raise InputError(f"--json and --format {form} exclude each other; give one of them")
-    with Store(store) as file:
-        click.echo(render(file, "json" if as_json else form, cast(Literal[2, 3], table)))
+    _print_table(store, "json" if as_json else form, cast(Literal[2, 3], table))
 
 
 @study.command(cls=Command)
@@ -130,8 +123,8 @@ def figures(folder: Path, seed: int, systems: str) -> None:
 # The options of the benchmarks that others have set.
 _of_others = together(
     option("--systems", help="Systems, separated by commas; by default all."),
-    option("--seeds", type=int, default=1, help="Records of each system and noise."),
-    option("--seed", type=int, default=0, help="Seed of the first record."),
+    option("--seeds", "records", type=int, default=1, help="Records of each system and noise."),
+    option("--seed", "first_seed", type=int, default=0, help="Seed of the first record."),
     _jobs,
     option(
         "--store",
@@ -181,26 +174,20 @@ def _run_of_others(
     name: str,
     benchmark: Any,
     given: dict[str, Any],
-    *,
     systems: str | None,
-    seeds: int,
-    seed: int,
-    jobs: int,
     store: Path,
     each: bool,
     form: str,
+    **how: Any,
 ) -> None:
     """Run the cells that are asked for, and print their table."""
     from bayeq.study.cells import run_cells
 
     names = None if systems is None else _names(systems)
     with Progress() as progress:
-        shown = partial(progress, "records")
+        how["progress"] = partial(progress, "records")
         try:
-            cells = benchmark.cells_of(names, **given)
-            done = run_cells(
-                store, name, cells, benchmark.measure, records=seeds, first_seed=seed, jobs=jobs, progress=shown
-            )
+            done = run_cells(store, name, benchmark.cells_of(names, **given), benchmark.measure, **how)
         except KeyboardInterrupt:
             raise InterruptedRun(f"interrupted: what was done is in {store}; the same command continues") from None
     import pandas as pd

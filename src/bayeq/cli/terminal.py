@@ -8,9 +8,10 @@ import shlex
 import sys
 import threading
 import time as clock
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields
+from functools import partial
 from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
@@ -174,14 +175,11 @@ class Progress:
             if self.bar is None:
                 self._open_bar()
         elif self.stage != self.named or now - self.said >= INTERVAL:
-            if self.stage != self.named and self.verbose:
-                self.said = now  # it has been named when it began
-            else:
+            if self.stage == self.named or not self.verbose:  # which has named it when it began
                 left = self._left(now) if self.total > 1 else ""
                 spent = f", {now - self.began:.0f} s" if now - self.began >= 1.0 else ""
                 say(f"{PROGRESS}{self._described()}{left}{spent}")
-                self.said = now
-            self.named = self.stage
+            self.said, self.named = now, self.stage
 
     def _described(self) -> str:
         """The stage in words, and how much of it is done."""
@@ -299,44 +297,36 @@ class Outputs:
             progress("refining", 0, 1)
         answer = found.refine(records, holdout=holdout) if self.refine else found
         progress.close()
+        writers: tuple[tuple[Path | None, Callable[[Path], object]], ...] = (
+            (self.save, answer.save),
+            # about the regression, before any refinement
+            (self.sensitivity, partial(_write_curves, found, "sensitivity")),
+            (self.path, partial(_write_curves, found, "path")),
+            (self.forecast, partial(_write_forecast, answer, records, holdout)),
+            (self.report, partial(_write_report, answer, records, files)),
+        )
         try:
             show_equations(answer, as_json, self.conditional, self.physical, self.explain, verbose)
         finally:
-            self._write_files(found, answer, records, files, holdout, progress)
+            failures = [said for path, write in writers if path is not None and (said := _tried(path, write, progress))]
+            if failures:
+                raise InputError("; ".join(failures))
 
-    def _write_files(
-        self,
-        found: Equations,
-        answer: Equations,
-        records: Sequence[Record],
-        files: Mapping[Path, FileState | None],
-        holdout: float,
-        progress: Progress,
-    ) -> None:
-        """Write the files that were named; sensitivity and path are about the regression, before any refinement."""
-        failures = []
-        for path, write in (
-            (self.save, answer.save),
-            (self.sensitivity, lambda file: _write_curves(file, found, "sensitivity")),
-            (self.path, lambda file: _write_curves(file, found, "path")),
-            (self.forecast, lambda file: _write_forecast(file, answer, records, holdout)),
-            (self.report, lambda file: _write_report(file, answer, records, files)),
-        ):
-            if path is None:
-                continue
-            progress(f"writing {path.name}", 0, 1)
-            try:
-                write(path)
-            except OSError as error:
-                failures.append(f"{path}: cannot be written: {error.strerror or error}")
-            except InputError as error:
-                failures.append(str(error))
-        if failures:
-            raise InputError("; ".join(failures))
+
+def _tried(path: Path, write: Callable[[Path], object], progress: Progress) -> str:
+    """Write a file; why it cannot be written, empty if it was."""
+    progress(f"writing {path.name}", 0, 1)
+    try:
+        write(path)
+    except OSError as error:
+        return f"{path}: cannot be written: {error.strerror or error}"
+    except InputError as error:
+        return str(error)
+    return ""
 
 
 def _write_report(
-    path: Path, answer: Equations, records: Sequence[Record], files: Mapping[Path, FileState | None]
+    answer: Equations, records: Sequence[Record], files: Mapping[Path, FileState | None], path: Path
 ) -> None:
     """The report, with the command as it was typed where that is known; standard input has no file to be hashed."""
     from bayeq.records.io import require_unchanged
@@ -380,7 +370,7 @@ def show_equations(
         click.echo(f"\n{explanation(answer, conditional)}")
 
 
-def _write_curves(path: Path, found: Equations, what: Literal["sensitivity", "path"]) -> None:
+def _write_curves(found: Equations, what: Literal["sensitivity", "path"], path: Path) -> None:
     """The sensitivity or the path of each equation."""
     from bayeq.equation.sensitivity import draw_pip_curves
     from bayeq.equation.size_path import draw_paths
@@ -390,7 +380,7 @@ def _write_curves(path: Path, found: Equations, what: Literal["sensitivity", "pa
     write_by_target(path, {equation.target: getattr(equation, what)() for equation in found}, draw)
 
 
-def _write_forecast(path: Path, answer: Equations, records: Sequence[Record], holdout: float) -> None:
+def _write_forecast(answer: Equations, records: Sequence[Record], holdout: float, path: Path) -> None:
     """Free runs over the rows held out, or over whole records where none are."""
     from bayeq.forecast.free_run import write_forecasts
 
@@ -407,12 +397,14 @@ def _write_forecast(path: Path, answer: Equations, records: Sequence[Record], ho
 OUTPUTS = tuple(field.name for field in fields(Outputs))
 
 
-def require_output(path: Path, files: Sequence[Path], kind: Kind) -> None:
-    """Refuse, before the work, a file that could not be written after it.
+def require_output(path: Path | None, files: Sequence[Path], kind: Kind) -> None:
+    """Refuse, before the work, a file that could not be written after it, if one was named.
 
     It cannot be there, is one of the `files` that are read, or ends otherwise than its kind; or what makes it is not
     installed.
     """
+    if path is None:
+        return
     _require_place(path, files)
     suffix = path.suffix.lower()
     if kind == "table" and suffix != ".csv":

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bayeq.arrays import Bools, Floats
-from bayeq.dictionary import fourier, neighbours, oscillator, polynomial
+from bayeq.dictionary import families
 from bayeq.dictionary.ranges import with_ranges
 from bayeq.dictionary.specification import (
     Member,
@@ -22,7 +22,6 @@ from bayeq.dictionary.specification import (
     members,
     of_equations,
     split_at,
-    split_at_commas,
     written,
 )
 from bayeq.errors import ExpressionError, FileFormatError, InputError, UnknownNameError, require_kind
@@ -48,10 +47,10 @@ class Family(NamedTuple):
 
 
 _OWN = {
-    "oscillator": Family(oscillator.terms, "degree"),
-    "polynomial": Family(polynomial.terms, "degree"),
-    "fourier": Family(fourier.terms, "number of harmonics"),
-    "neighbours": Family(neighbours.terms, by_equation=True),
+    "oscillator": Family(families.oscillator, "degree"),
+    "polynomial": Family(families.polynomial, "degree"),
+    "fourier": Family(families.fourier, "number of harmonics"),
+    "neighbours": Family(families.neighbours, by_equation=True),
 }
 FAMILIES = Table("families", Family, _OWN)
 
@@ -85,7 +84,7 @@ def build_dictionary(specification: str | Sequence[str], variables: Variables) -
     """
     _require_families(specification, variables)
     text = isinstance(specification, str)
-    texts = split_at_commas(specification) if isinstance(specification, str) else [str(one) for one in specification]
+    texts = split_at(specification) if isinstance(specification, str) else [str(one) for one in specification]
     union = members(texts, FAMILIES.keys())
     if union is not None:
         return _union(union, f"dictionary {written(specification)[:60]!r}", variables)
@@ -261,7 +260,7 @@ def _family_terms(name: str, argument: str | None, variables: Variables) -> list
             f"dictionary '{name}:{argument[:40]}': the {family.argument} after the colon must be a whole number from 1"
             f" to {MAX_ARGUMENT}, as in {name}:3"
         )
-    count = polynomial.count(len(variables.states), int(argument)) if family.argument == "degree" else 0
+    count = families.count(len(variables.states), int(argument)) if family.argument == "degree" else 0
     if count > MAX_TERMS:
         raise InputError(
             f"dictionary '{name}:{argument}' of {len(variables.states)} states would have {count} terms, more than"
@@ -329,7 +328,8 @@ def _require_inside(term: Expression, where: str, variables: Variables) -> None:
     if not term.names:
         raise InputError(f"{where}: {term.text} is a constant; every equation has one beside its terms")
     for factor in factors_of(term.tree):
-        if isinstance(factor, Binary) and factor.op in "+-" and any(map(is_scaled, arguments_of(factor))):
+        sums = arguments_of(factor) if isinstance(factor, Binary) and factor.op in "+-" else ()
+        if any(isinstance(one, Unknown) for part in sums for one in factors_of(part)):
             raise InputError(f"{where}: write the parts of {term.text} as two terms, without {{}}")
     for node in nodes_of(term.tree):
         together = [one.name for one in factors_of(node) if isinstance(one, Unknown)]
@@ -353,11 +353,6 @@ def factors_of(node: Node) -> Iterator[Node]:
                 yield right
         case _:
             yield node
-
-
-def is_scaled(node: Node) -> bool:
-    """Whether a part of a sum is an unknown constant, or has one for a factor."""
-    return any(isinstance(factor, Unknown) for factor in factors_of(node))
 
 
 def evaluate_terms(terms: Sequence[Expression], columns: Mapping[str, Floats]) -> Floats:

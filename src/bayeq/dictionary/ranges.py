@@ -20,7 +20,7 @@ from bayeq.arrays import Floats
 from bayeq.errors import InputError
 from bayeq.expressions import Binary, Call, Evaluator, Expression, Negate, Node, Number, Unknown
 from bayeq.expressions.functions import COMPARISONS
-from bayeq.expressions.nodes import arguments_of, is_comparison, unknowns_of
+from bayeq.expressions.nodes import arguments_of, is_comparison, nodes_of, unknowns_of
 
 Columns = Sequence[Mapping[str, Floats]]
 
@@ -139,13 +139,7 @@ def families(terms: Sequence[Expression]) -> list[list[int]]:
 
 
 def with_ranges(terms: Sequence[Expression]) -> tuple[Expression, ...]:
-    """The terms with the range of a constant wherever it stands, if it is written anywhere.
-
-    Raises
-    ------
-    InputError
-        A constant with two ranges.
-    """
+    """The terms with the range of a constant wherever it stands, if it is written anywhere; InputError for two."""
     written: dict[str, Unknown] = {}
     for term in terms:
         for one in unknowns_of(term.tree):
@@ -163,31 +157,21 @@ def with_ranges(terms: Sequence[Expression]) -> tuple[Expression, ...]:
 def located(terms: Sequence[Expression], columns: Columns) -> dict[str, Unknown]:
     """The constants of some terms, by name, with the ranges in which they may be.
 
-    Parameters
-    ----------
-    terms : sequence of Expression
-        Candidates, with the ranges that are written.
-    columns : sequence of mapping of str to (n,) array
-        States, inputs and time of each record.
-
-    Raises
-    ------
-    InputError
-        A range that is not written and that the record does not give, or in which a term is singular.
+    Terms have the ranges that are written; columns (n,) are the states, inputs and time of each record. InputError for
+    a range that is not written and that the record does not give, or in which a term is singular.
     """
     out = constants_of(terms)
     places = {name: next(path for term in terms for path in _paths(term.tree, name)) for name in out}
     missing = [name for name, one in out.items() if math.isnan(one.low)]
     while missing:
-        found = {name: _range(places[name], out, columns) for name in missing}
-        left = [name for name, ends in found.items() if ends is None or not -math.inf < ends[0] < ends[1] < math.inf]
+        ends = {name: _range(places[name], out, columns) for name in missing}
+        found = {name: one for name, one in ends.items() if one is not None and -math.inf < one[0] < one[1] < math.inf}
+        left = [name for name in missing if name not in found]
         if left == missing:
             raise InputError(
                 f"the record does not tell where {{{left[0]}}} may be: give its range, as in {{{left[0]}: 0.01..3}}"
             )
-        for name, ends in found.items():
-            if ends is not None and -math.inf < ends[0] < ends[1] < math.inf:
-                out[name] = replace(out[name], low=ends[0], high=ends[1])
+        out |= {name: replace(out[name], low=low, high=high) for name, (low, high) in found.items()}
         missing = left
     for term in terms:
         _require_regular(term, out, columns)
@@ -196,8 +180,7 @@ def located(terms: Sequence[Expression], columns: Columns) -> dict[str, Unknown]
 
 def _require_regular(term: Expression, constants: Mapping[str, Unknown], columns: Columns) -> None:
     """Refuse a term that is divided by something that is zero for some values of its constants."""
-    for below in _denominators(term.tree):
-        own = Expression(below)
+    for own in [Expression(one.right) for one in nodes_of(term.tree) if isinstance(one, Binary) and one.op == "/"]:
         if not own.unknowns:
             continue
         signs = set()
@@ -215,13 +198,6 @@ def _require_regular(term: Expression, constants: Mapping[str, Unknown], columns
                 f"term {term.text}: {own.text}, which divides, is zero in this record for some {name} of {low:.3g} .."
                 f" {high:.3g}: give a range where it is not, as in {{{name}: 0.01..3}}"
             )
-
-
-def _denominators(node: Node) -> Iterator[Node]:
-    if isinstance(node, Binary) and node.op == "/":
-        yield node.right
-    for part in arguments_of(node):
-        yield from _denominators(part)
 
 
 def grids(
@@ -269,24 +245,12 @@ def _wave(path: tuple[Node, ...]) -> bool:
 
 
 class Place(NamedTuple):
-    """Where a constant stands.
+    """Where a constant stands."""
 
-    Attributes
-    ----------
-    operation : str
-        The operation or function that it stands in: ``"*"`` or, where it divides, ``"below"``, of a whole product.
-    other : Node or None
-        What stands beside it, all other factors of a product.
-    power : Node or None
-        The exponent, where it is the base of a power there.
-    path : tuple of Node
-        From the root to the operation.
-    """
-
-    operation: str
-    other: Node | None
-    power: Node | None
-    path: tuple[Node, ...]
+    operation: str  # that it stands in, or function: "*" or, where it divides, "below", of a whole product
+    other: Node | None  # what stands beside it, all other factors of a product
+    power: Node | None  # the exponent, where it is the base of a power there
+    path: tuple[Node, ...]  # from the root to the operation
 
 
 def _place(path: tuple[Node, ...]) -> Place:

@@ -71,24 +71,13 @@ def _parts(text: str) -> list[Member]:
     return [Member(part.strip(), out) for part, out in zip(parts, left_out, strict=True)]
 
 
-def split_at_commas(text: str) -> list[str]:
-    """The parts between the commas outside of brackets.
-
-    Examples
-    --------
-    >>> split_at_commas("x, atan2(x, v)")
-    ['x', 'atan2(x, v)']
-    """
-    return split_at(text, ",")
-
-
-def split_at(text: str, mark: str) -> list[str]:
+def split_at(text: str, mark: str = ",") -> list[str]:
     """The parts between the marks outside of brackets.
 
     Examples
     --------
-    >>> split_at("tanh(v/{v0}) | sign(v)", "|")
-    ['tanh(v/{v0})', 'sign(v)']
+    >>> split_at("x, atan2(x, v)"), split_at("tanh(v/{v0}) | sign(v)", "|")
+    (['x', 'atan2(x, v)'], ['tanh(v/{v0})', 'sign(v)'])
     """
     parts, depth = [""], 0
     for c in text:

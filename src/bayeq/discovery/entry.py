@@ -39,8 +39,7 @@ from bayeq.states import Roles, Smooth, Tails, check_sensors, with_laws
 from bayeq.states.derive import current
 from bayeq.states.sensors import share_of_reading
 from bayeq.streaming.checkpoint import Checkpoints, cache_folder
-from bayeq.streaming.cluster import Cluster
-from bayeq.streaming.partitions import dask_streams, is_dask
+from bayeq.streaming.cluster import Cluster, dask_streams, is_dask
 from bayeq.streaming.whole import Whole
 from bayeq.streaming.work import Executor, Extent, Threads, of_channels, stretches
 

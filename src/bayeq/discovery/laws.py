@@ -12,7 +12,7 @@ from bayeq.arrays import Bools
 from bayeq.dictionary import Specification, Variables, build_dictionaries, of_equations
 from bayeq.dictionary.build import MOST_UNKNOWN
 from bayeq.dictionary.ranges import with_ranges
-from bayeq.dictionary.specification import split_at_commas
+from bayeq.dictionary.specification import split_at
 from bayeq.equation.answer import HiddenState
 from bayeq.errors import ChainError, InputError, UnknownNameError
 from bayeq.expressions import Binary, Expression, Symbol, parse
@@ -174,7 +174,7 @@ def with_differences(
     taken = next((name for name in names for record in records if name in record.channels), None)
     if taken is not None:
         raise InputError(f"differs: {taken} numbers a record and is a channel too: give the channel another name")
-    texts = split_at_commas(differs) if isinstance(differs, str) else [str(one) for one in differs]
+    texts = split_at(differs) if isinstance(differs, str) else [str(one) for one in differs]
     known = {term.text: j for j, term in enumerate(terms)}
     chosen = list(range(len(terms)))
     if texts != [ALL]:

@@ -32,13 +32,7 @@ from bayeq.kernels import kernel
 # Integer powers up to here are products, x**5 = x**4*x, so that the monomials of a dictionary share them.
 MAX_INTEGER_POWER = 16
 
-ARITHMETIC: dict[str, np.ufunc] = {
-    "+": np.add,
-    "-": np.subtract,
-    "*": np.multiply,
-    "/": np.divide,
-    "**": np.power,
-}
+ARITHMETIC: dict[str, np.ufunc] = {"+": np.add, "-": np.subtract, "*": np.multiply, "/": np.divide, "**": np.power}
 
 
 class Evaluator:
@@ -133,20 +127,14 @@ class Evaluator:
 
 IndexArray: TypeAlias = NDArray[np.uint32]
 
+# in the order of ARITHMETIC, and the sign
 ADD, SUBTRACT, MULTIPLY, DIVIDE, POWER, NEGATE = range(6)
-_OPCODES = {
-    "+": ADD,
-    "-": SUBTRACT,
-    "*": MULTIPLY,
-    "/": DIVIDE,
-    "**": POWER,
-    **{op: comparison.opcode for op, comparison in COMPARISONS.items()},
-}
+_OPCODES = {op: k for k, op in enumerate(ARITHMETIC)} | {op: one.opcode for op, one in COMPARISONS.items()}
 # what instructions make of constants
 _ON_CONSTANTS: dict[int, Callable[..., Any]] = {
-    **{_OPCODES[op]: ufunc for op, ufunc in ARITHMETIC.items()},
-    **{comparison.opcode: comparison.numpy for comparison in COMPARISONS.values()},
-    **{function.opcode: function.numpy for function in FUNCTIONS.values() if function.opcode},
+    **dict(enumerate(ARITHMETIC.values())),
+    **{one.opcode: one.numpy for one in COMPARISONS.values()},
+    **{one.opcode: one.numpy for one in FUNCTIONS.values() if one.opcode},
     NEGATE: np.negative,
     PICK: lambda a, b: b if a else 0.0,
     UNLESS: lambda a, b: 0.0 if a else b,

@@ -38,6 +38,7 @@ class Function(NamedTuple):
     arguments: tuple[int, int | None] = (1, 1)  # how many it takes, at least and at most
     definition: str = ""  # by other functions in a and b, for the tape
     meaning: str = ""  # for the documentation
+    also: tuple[str, ...] = ()  # other spellings
 
 
 class Comparison(NamedTuple):
@@ -68,38 +69,37 @@ def _where(condition: Any, a: Any, b: Any) -> Any:
     return np.where(condition, a, b)[()]
 
 
-def _max(*values: Any) -> Any:
-    return reduce(np.maximum, values)
-
-
-def _min(*values: Any) -> Any:
-    return reduce(np.minimum, values)
+def _over(pair: np.ufunc) -> Callable[..., Any]:
+    """A function of two numbers, of several."""
+    return lambda *values: reduce(pair, values)
 
 
 FUNCTIONS: dict[str, Function] = {
     "sin": Function(np.sin, SIN, "sin", meaning="sine"),
     "cos": Function(np.cos, COS, "cos", meaning="cosine"),
     "tan": Function(np.tan, TAN, "tan", meaning="tangent"),
-    "asin": Function(np.arcsin, ASIN, "asin", meaning="inverse sine"),
-    "acos": Function(np.arccos, ACOS, "acos", meaning="inverse cosine"),
-    "atan": Function(np.arctan, ATAN, "atan", meaning="inverse tangent"),
+    "asin": Function(np.arcsin, ASIN, "asin", meaning="inverse sine", also=("arcsin",)),
+    "acos": Function(np.arccos, ACOS, "acos", meaning="inverse cosine", also=("arccos",)),
+    "atan": Function(np.arctan, ATAN, "atan", meaning="inverse tangent", also=("arctan",)),
     "exp": Function(np.exp, EXP, "exp", meaning="exponential"),
-    "log": Function(np.log, LOG, "log", meaning="natural logarithm"),
+    "log": Function(np.log, LOG, "log", meaning="natural logarithm", also=("ln",)),
     "sqrt": Function(np.sqrt, SQRT, "sqrt", meaning="square root"),
-    "abs": Function(np.abs, ABS, "Abs", meaning="magnitude"),
-    "sign": Function(np.sign, SIGN, "sign", meaning="-1, 0 or 1"),
+    "abs": Function(np.abs, ABS, "Abs", meaning="magnitude", also=("Abs", "fabs")),
+    "sign": Function(np.sign, SIGN, "sign", meaning="-1, 0 or 1", also=("sgn",)),
     "sinh": Function(np.sinh, SINH, "sinh", meaning="hyperbolic sine"),
     "cosh": Function(np.cosh, COSH, "cosh", meaning="hyperbolic cosine"),
     "tanh": Function(np.tanh, TANH, "tanh", meaning="hyperbolic tangent"),
-    "asinh": Function(np.arcsinh, ASINH, "asinh", meaning="inverse hyperbolic sine"),
-    "acosh": Function(np.arccosh, ACOSH, "acosh", meaning="inverse hyperbolic cosine"),
-    "atanh": Function(np.arctanh, ATANH, "atanh", meaning="inverse hyperbolic tangent"),
+    "asinh": Function(np.arcsinh, ASINH, "asinh", meaning="inverse hyperbolic sine", also=("arcsinh",)),
+    "acosh": Function(np.arccosh, ACOSH, "acosh", meaning="inverse hyperbolic cosine", also=("arccosh",)),
+    "atanh": Function(np.arctanh, ATANH, "atanh", meaning="inverse hyperbolic tangent", also=("arctanh",)),
     "log10": Function(np.log10, LOG10, "log(a)/log(10)", meaning="logarithm to base 10"),
     "log1p": Function(np.log1p, LOG1P, "log(1+a)", meaning="log(1 + a), accurate for small a"),
     "cbrt": Function(np.cbrt, CBRT, "sign(a)*abs(a)**(1/3)", meaning="cube root, of negative numbers too"),
     "erf": Function(_erf, ERF, "erf", meaning="error function"),
     "floor": Function(np.floor, FLOOR, "floor", meaning="the next whole number below"),
-    "ceil": Function(np.ceil, NONE, "ceiling", definition="-floor(-a)", meaning="the next whole number above"),
+    "ceil": Function(
+        np.ceil, NONE, "ceiling", definition="-floor(-a)", meaning="the next whole number above", also=("ceiling",)
+    ),
     "relu": Function(
         lambda a: np.maximum(a, 0.0), NONE, "max(0,a)", definition="max(a,0)", meaning="a where it is positive, else 0"
     ),
@@ -109,6 +109,7 @@ FUNCTIONS: dict[str, Function] = {
         "Heaviside",
         definition="(1+sign(a))/2",
         meaning="unit step: 0 below zero, 1 above, 1/2 at zero",
+        also=("step", "Heaviside"),
     ),
     "sigmoid": Function(
         lambda a: 0.5 + 0.5 * np.tanh(0.5 * a),
@@ -117,35 +118,23 @@ FUNCTIONS: dict[str, Function] = {
         definition="0.5+0.5*tanh(0.5*a)",
         meaning="logistic function 1/(1 + exp(-a))",
     ),
-    "max": Function(_max, MAX, "Max", (2, None), meaning="the largest of two or more"),
-    "min": Function(_min, MIN, "Min", (2, None), meaning="the smallest of two or more"),
-    "atan2": Function(np.arctan2, ATAN2, "atan2", (2, 2), meaning="angle of the point (b, a), from -pi to pi"),
-    "mod": Function(np.mod, MOD, "Mod", (2, 2), meaning="a - b floor(a/b): the remainder, with the sign of b"),
+    "max": Function(
+        _over(np.maximum), MAX, "Max", (2, None), meaning="the largest of two or more", also=("maximum", "Max")
+    ),
+    "min": Function(
+        _over(np.minimum), MIN, "Min", (2, None), meaning="the smallest of two or more", also=("minimum", "Min")
+    ),
+    "atan2": Function(
+        np.arctan2, ATAN2, "atan2", (2, 2), meaning="angle of the point (b, a), from -pi to pi", also=("arctan2",)
+    ),
+    "mod": Function(
+        np.mod, MOD, "Mod", (2, 2), meaning="a - b floor(a/b): the remainder, with the sign of b", also=("Mod",)
+    ),
     "where": Function(_where, NONE, "Piecewise", (3, 3), meaning="the second where the first holds, else the third"),
 }
 
 # Other spellings of functions; the function's own name is what is printed.
-ALIASES: dict[str, str] = {
-    "ln": "log",
-    "arcsin": "asin",
-    "arccos": "acos",
-    "arctan": "atan",
-    "arctan2": "atan2",
-    "arcsinh": "asinh",
-    "arccosh": "acosh",
-    "arctanh": "atanh",
-    "Abs": "abs",
-    "fabs": "abs",
-    "sgn": "sign",
-    "step": "heaviside",
-    "Heaviside": "heaviside",
-    "ceiling": "ceil",
-    "maximum": "max",
-    "minimum": "min",
-    "Max": "max",
-    "Min": "min",
-    "Mod": "mod",
-}
+ALIASES: dict[str, str] = {other: name for name, function in FUNCTIONS.items() for other in function.also}
 
 # square(a) is a**2.
 SQUARE = "square"

@@ -81,20 +81,18 @@ def _minus(left: Node, right: Node) -> Node:
 def inverse(A: Sequence[Sequence[Node]]) -> list[list[Node]]:
     """(I - A)^-1, by Gauss and Jordan without pivots: A is small, or the equations say the same."""
     n = len(A)
-    left = [[_minus(_ONE if i == j else _ZERO, A[i][j]) for j in range(n)] for i in range(n)]
-    right: list[list[Node]] = [[_ONE if i == j else _ZERO for j in range(n)] for i in range(n)]
+    unit: list[list[Node]] = [[_ONE if i == j else _ZERO for j in range(n)] for i in range(n)]
+    rows = [[*map(_minus, own, row), *own] for own, row in zip(unit, A, strict=True)]
     for k in range(n):
-        pivot = left[k][k]
+        pivot = rows[k][k]
         if pivot != _ONE:
-            left[k] = [one if one == _ZERO else Binary("/", one, pivot) for one in left[k]]
-            right[k] = [one if one == _ZERO else Binary("/", one, pivot) for one in right[k]]
+            rows[k] = [one if one == _ZERO else Binary("/", one, pivot) for one in rows[k]]
         for i in range(n):
-            factor = left[i][k]
+            factor = rows[i][k]
             if i != k and factor != _ZERO:
-                left[i] = [_minus(a, product(factor, b)) for a, b in zip(left[i], left[k], strict=True)]
-                right[i] = [_minus(a, product(factor, b)) for a, b in zip(right[i], right[k], strict=True)]
-                left[i][k] = _ZERO
-    return right
+                rows[i] = [_minus(a, product(factor, b)) for a, b in zip(rows[i], rows[k], strict=True)]
+                rows[i][k] = _ZERO
+    return [row[n:] for row in rows]
 
 
 def solved(

@@ -195,12 +195,6 @@ def _bracketed(node: Node, least: int) -> str:
     return text if strength >= least else f"({text})"
 
 
-def _named(node: Node, kind: type[Symbol | Constant]) -> frozenset[str]:
-    """The names of all symbols, or of all constants, in a tree."""
-    own = frozenset((node.name,)) if isinstance(node, kind) else frozenset[str]()
-    return own.union(*(_named(part, kind) for part in arguments_of(node)))
-
-
 def nodes_of(node: Node) -> Iterator[Node]:
     """A node and all that it is made of."""
     yield node
@@ -220,30 +214,9 @@ def replaced(node: Node, values: Mapping[Node, Node]) -> Node:
     return with_arguments(node, tuple(replaced(part, values) for part in arguments_of(node)))
 
 
-def _size(node: Node) -> int:
-    return 1 + sum(map(_size, arguments_of(node)))
-
-
 @dataclass(frozen=True, repr=False)
 class Expression:
     """A term or a right-hand side, as made by `parse`; equal, and hashed, by its tree.
-
-    Attributes
-    ----------
-    tree : Node
-        The root of the expression tree.
-    text : str
-        Canonical text: no spaces, no needless brackets, Python's syntax; ``parse(e.text) == e``.
-    names : frozenset of str
-        The symbols that occur.
-    constants : frozenset of str
-        The names of numbers that occur.
-    unknowns : dict of str to Unknown
-        Constants whose values are to be found, by name.
-    size : int
-        Number of nodes: 1 of ``x``, 2 of ``sign(v)``, 3 of ``x**3``.
-    choice : str
-        The either-or that the term is a member of, as it was written.
 
     Examples
     --------
@@ -253,28 +226,33 @@ class Expression:
     ('x**2*v-sin(th)', ['th', 'v', 'x'])
     """
 
-    tree: Node
-    choice: str = field(default="", compare=False)
+    tree: Node  # the root of the expression tree
+    choice: str = field(default="", compare=False)  # the either-or that the term is a member of, as it was written
 
     @cached_property
     def text(self) -> str:
+        """Canonical text: no spaces, no needless brackets, Python's syntax; ``parse(e.text) == e``."""
         return _written(self.tree)[0]
 
     @cached_property
     def names(self) -> frozenset[str]:
-        return _named(self.tree, Symbol)
+        """The symbols that occur."""
+        return frozenset(node.name for node in nodes_of(self.tree) if isinstance(node, Symbol))
 
     @cached_property
     def constants(self) -> frozenset[str]:
-        return _named(self.tree, Constant)
+        """The names of numbers that occur."""
+        return frozenset(node.name for node in nodes_of(self.tree) if isinstance(node, Constant))
 
     @cached_property
     def unknowns(self) -> dict[str, Unknown]:
+        """Constants whose values are to be found, by name."""
         return {node.name: node for node in unknowns_of(self.tree)}
 
     @cached_property
     def size(self) -> int:
-        return _size(self.tree)
+        """Number of nodes: 1 of ``x``, 2 of ``sign(v)``, 3 of ``x**3``."""
+        return sum(1 for _ in nodes_of(self.tree))
 
     def named(self) -> Expression:
         """The expression with the names of its unknown constants alone, without ranges and values."""

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.arrays import Bools, Floats
-from bayeq.dictionary.polynomial import count, monomials
+from bayeq.dictionary.families import count, monomials
 from bayeq.dictionary.ranges import constants_of, extent
 from bayeq.expressions import Expression, parse
 from bayeq.gram import Gram

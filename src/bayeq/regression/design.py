@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from bayeq.arrays import Bools, Floats
 from bayeq.dictionary import evaluate_terms
-from bayeq.dictionary.polynomial import degree
+from bayeq.dictionary.families import degree
 from bayeq.errors import InputError
 from bayeq.expressions import Expression
 from bayeq.gram import Gram

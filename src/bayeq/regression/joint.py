@@ -10,7 +10,7 @@ import numpy as np
 
 from bayeq.arrays import Bools, Floats
 from bayeq.dictionary import Specification, of_equations
-from bayeq.dictionary.polynomial import degree
+from bayeq.dictionary.families import degree
 from bayeq.errors import InputError
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.slab import exact_posterior

@@ -18,7 +18,7 @@ import numpy as np
 
 from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
-from bayeq.dictionary.polynomial import degree
+from bayeq.dictionary.families import degree
 from bayeq.expressions import Expression
 from bayeq.inference.collapsed.path import DEPENDENT
 from bayeq.inference.collapsed.problem import all_rows

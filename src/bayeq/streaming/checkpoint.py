@@ -53,15 +53,13 @@ def cache_folder() -> Path | None:
 class Checkpoint:
     """One sum."""
 
-    path: Path | None  # the file; None keeps nothing
+    path: Path
     every: bool = False  # whether the last sum, or that of a run that is stopped, is kept however short the run was
     failed: Callable[[OSError], None] = lambda error: None  # called with the error where it cannot be kept
     saved: float = field(default_factory=clock.monotonic)  # when it was kept last
 
     def load(self) -> tuple[int, Any]:
         """The number of units done, and their sum; (0, None) where there is nothing, or a damaged file."""
-        if self.path is None or not self.path.is_file():
-            return 0, None
         try:
             with self.path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
                 about = json.loads(bytes(file["about"]).decode())
@@ -72,7 +70,7 @@ class Checkpoint:
     def save(self, done: int, total: Any, last: bool) -> None:
         """Keep a sum, if it is time, or the last one of a long run; where that fails, the one before stays."""
         now = clock.monotonic()
-        if self.path is None or (now - self.saved < EVERY and not (last and (self.every or self.path.exists()))):
+        if now - self.saved < EVERY and not (last and (self.every or self.path.exists())):
             return
         arrays: dict[str, Any] = {}
         about = {"done": done, "sum": _taken_apart(total, arrays)}
@@ -107,10 +105,10 @@ class Checkpoints:
             about.append((str(path.resolve()), stat.st_size, stat.st_mtime_ns, one.start, one.stop, repr(one.stream)))
         return cls(folder, repr((version("bayeq"), SUMS, about)), asked)
 
-    def of_stage(self, stage: str, about: object) -> Checkpoint:
+    def of_stage(self, stage: str, about: object) -> Checkpoint | None:
         """The sum of a stage that depends on what `about` says."""
         if self.folder is None:
-            return Checkpoint(None)
+            return None
         key = hashlib.sha256(f"{self.about}|{stage}|{about!r}".encode()).hexdigest()[:32]
         found = Checkpoint(self.folder / f"{key}.npz", every=self.asked, failed=self._warn)
         self.used.append(found)
@@ -130,14 +128,13 @@ class Checkpoints:
     @property
     def kept(self) -> Path | None:
         """The folder, if a sum of this run is in it."""
-        return self.folder if any(one.path is not None and one.path.is_file() for one in self.used) else None
+        return self.folder if any(one.path.is_file() for one in self.used) else None
 
     def clear(self) -> None:
         """Forget the sums: the run is through."""
         for one in self.used:
-            if one.path is not None:
-                with suppress(OSError):
-                    one.path.unlink(missing_ok=True)
+            with suppress(OSError):
+                one.path.unlink(missing_ok=True)
         self.used.clear()
 
 

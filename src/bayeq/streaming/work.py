@@ -246,16 +246,6 @@ def _centred(
             out[j] = value[j] - centre
 
 
-@kernel
-def _without_bad(z: Floats, rows: int, shift: Floats, bad: Counts) -> None:
-    """Count values that have no square, and put zeros in their places."""
-    for i in range(len(bad)):
-        for j in range(rows):
-            if not abs(z[i, j] + shift[i]) <= LARGEST:
-                bad[i] += 1
-                z[i, j] = -shift[i]
-
-
 def fold_columns(terms: Sequence[Expression], columns: Mapping[str, Floats], targets: Sequence[str]) -> Folded:
     """Moments of P terms and of targets over the n rows of the columns: states, inputs and targets."""
     names = sorted({name for term in terms for name in term.names})
@@ -282,7 +272,11 @@ def fold_columns(terms: Sequence[Expression], columns: Mapping[str, Floats], tar
             products = np.zeros_like(sums)
             add_products(z, rows, products)
             if not (np.diagonal(products) <= LARGEST_SQUARE).all():
-                _without_bad(z, rows, shift, bad)
+                # values that have no square are counted, and zeros are put in their places
+                own, about = z[: len(terms), :rows], shift[: len(terms), None]
+                wrong = ~(np.abs(own + about) <= LARGEST)
+                bad += wrong.sum(axis=1)
+                np.copyto(own, -about, where=wrong)
                 products[:] = 0.0
                 add_products(z, rows, products)
             sums += products

@@ -1,9 +1,7 @@
 """Monte Carlo campaigns: the paper's section 4.1 as a study that can be stopped, continued and shown.
 
 config     what a study is: its numbers and its names
-realise    one realisation, reproducible alone from (seed, system, index), and the methods compared, a table
-store      what a method gives and its errors as the paper defines them, in an SQLite file
-runner     all realisations, in parallel
+runner     one realisation, the methods compared, all realisations in parallel, and their store
 table      averages beside the paper's, as text, Markdown, CSV or JSON
 figures    the paper's Figs. 4 and 5
 cells      benchmarks that others have set, on the same store; `dysts`, `odebench` run on them

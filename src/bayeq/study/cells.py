@@ -18,8 +18,7 @@ from threadpoolctl import threadpool_limits
 from bayeq.arrays import Floats
 from bayeq.errors import BayeqError, BayeqWarning, whole_number
 from bayeq.expressions import parse
-from bayeq.resumable.store import Key, ResultStore
-from bayeq.resumable.workers import MAX_JOBS, fill
+from bayeq.resumable.store import MAX_JOBS, Key, ResultStore, fill
 
 # The name under which a law holds the constant of an equation.
 CONSTANT = "1"
@@ -59,6 +58,14 @@ class Cells(NamedTuple):
 
     cells: Sequence[Cell]
     outcomes: Sequence[list[Outcome]]
+
+    def grouped(self, key: Callable[[Cell], Cell]) -> dict[Cell, list[tuple[str, Outcome]]]:
+        """Outcomes, each with its system, by a key of their cells; none without any."""
+        out: dict[Cell, list[tuple[str, Outcome]]] = {}
+        for cell, outcomes in zip(self.cells, self.outcomes, strict=True):
+            for one in outcomes:
+                out.setdefault(key(cell), []).append((str(cell[0]), one))
+        return out
 
 
 def run_cells(

@@ -214,21 +214,22 @@ def cells_of(names: Sequence[str] | None, noises: Sequence[float], methods: Sequ
 
 def summary(done: Cells) -> Iterator[dict[str, object]]:
     """A line for every noise and method: all systems together."""
-    groups: dict[tuple[float, str], list[tuple[str, Outcome]]] = {}
-    for (name, noise, method), outcomes in zip(done.cells, done.outcomes, strict=True):
-        groups.setdefault((float(noise), str(method)), []).extend((str(name), one) for one in outcomes)
-    for (noise, method), found in sorted(groups.items(), key=lambda group: (group[0][0], METHODS.index(group[0][1]))):
-        if found:
-            yield _line(noise, method, found)
+    groups = done.grouped(lambda cell: cell[1:])
+    for noise, method in sorted(groups, key=lambda key: (key[0], METHODS.index(str(key[1])))):
+        yield _line(float(noise), str(method), groups[noise, method])
 
 
 def each(done: Cells) -> Iterator[dict[str, object]]:
     """A line for every cell, failures first: fewest exact answers, largest E."""
-    lines: list[dict[str, object]] = []
-    for (name, noise, method), outcomes in zip(done.cells, done.outcomes, strict=True):
-        if outcomes:
-            line = _line(float(noise), str(method), [(str(name), one) for one in outcomes])
-            lines.append({"system": name, **line, "wrong": cells.wrong_in(outcomes)})
+    lines = [
+        {
+            "system": name,
+            **_line(float(noise), str(method), [(str(name), one) for one in found]),
+            "wrong": cells.wrong_in(found),
+        }
+        for (name, noise, method), found in zip(done.cells, done.outcomes, strict=True)
+        if found
+    ]
     yield from sorted(lines, key=lambda line: (float(str(line["exact_percent"])), -float(str(line["median_E"]))))
 
 

@@ -18,11 +18,10 @@ from bayeq.figures.paper import Inclusion, JointPosterior, draw_inclusion, draw_
 from bayeq.figures.style import mathtext, require_matplotlib, save, style
 from bayeq.inference.gibbs import spike_slab_gibbs
 from bayeq.inference.posterior import Posterior
-from bayeq.inference.prior import Prior
 from bayeq.inference.vb import spike_slab_vb
 from bayeq.records.names import multiply_units, parse_unit
 from bayeq.study.config import STUDY_SYSTEMS, StudyConfig, choose
-from bayeq.study.runner import ALGORITHM_STREAM, draw
+from bayeq.study.runner import ALGORITHM_STREAM, draw, posed
 from bayeq.systems import System, get_system
 
 # Values from here on are given in powers of ten on the axis.
@@ -58,8 +57,7 @@ class Comparison:
 def compare(name: str, config: StudyConfig) -> Comparison:
     """Infer a realisation of one of `STUDY_SYSTEMS` by MCMC and by VB; `perturb` is 0 for nominal parameters."""
     data = draw(config, name, 0)
-    standard = data.train.standardise()
-    prior = Prior(config.slab_variance, config.prior_inclusion, config.noise_shape, config.noise_rate)
+    standard, prior = posed(data.train, config)
     mcmc = spike_slab_gibbs(
         standard.gram,
         prior,

@@ -266,17 +266,17 @@ def cells_of(
 
 def summary(done: Cells) -> Iterator[dict[str, object]]:
     """A line for every noise, share of points, dictionary and method, of records that come to rest and others."""
-    groups: dict[tuple[Any, ...], list[Outcome]] = {}
-    for (name, start, *rest), outcomes in zip(done.cells, done.outcomes, strict=True):
-        groups.setdefault((*rest, bool(_known()[str(name)]["rest"][int(start)])), []).extend(outcomes)
-    for (noise, points, dictionary, method, rests), outcomes in groups.items():
-        if outcomes:
-            about = _about(noise, points, dictionary, method, rests)
-            yield {**about, "records": len(outcomes), **_rates_of(outcomes)}
+    for about, found in done.grouped(_kind).items():
+        yield {**_about(*about), "records": len(found), **_rates_of([one for _, one in found])}
 
 
-def _about(noise: Any, points: Any, dictionary: Any, method: Any, rests: bool) -> dict[str, object]:
-    """What a line is about."""
+def _kind(cell: Cell) -> Cell:
+    """What a line is about: all but system and start, and whether the record comes to rest."""
+    return (*cell[2:], bool(_known()[str(cell[0])]["rest"][int(cell[1])]))
+
+
+def _about(noise: Any, points: Any, dictionary: Any, method: Any, rests: Any) -> dict[str, object]:
+    """The columns that say what a line is about."""
     return {
         "noise": noise,
         "points": f"{100 * points:g} %",
@@ -289,21 +289,19 @@ def _about(noise: Any, points: Any, dictionary: Any, method: Any, rests: bool) -
 def each(done: Cells) -> Iterator[dict[str, object]]:
     """A line for every cell, failures first."""
     lines: list[tuple[bool, bool, dict[str, object]]] = []
-    for (name, start, noise, points, dictionary, method), outcomes in zip(done.cells, done.outcomes, strict=True):
-        rests = _known()[str(name)]["rest"][int(start)]
-        for one in outcomes:
-            scores = one.get("R2", [0.0, 0.0])
-            line: dict[str, object] = {
-                "system": name,
-                "start": start,
-                **_about(noise, points, dictionary, method, rests),
-                "R2": f"{scores[0]:.4f}",
-                "R2_other_start": f"{scores[1]:.4f}",
-                "verdicts": ", ".join(one.get("verdicts", [])),
-                "wrong": cells.wrong_in([one]),
-                "cpu_seconds": f"{one['cpu']:.2f}",
-            }
-            lines.append((scores[0] > FOLLOWS, scores[1] > FOLLOWS, line))
+    for cell, one in ((cell, one) for cell, found in zip(done.cells, done.outcomes, strict=True) for one in found):
+        scores = one.get("R2", [0.0, 0.0])
+        line: dict[str, object] = {
+            "system": cell[0],
+            "start": cell[1],
+            **_about(*_kind(cell)),
+            "R2": f"{scores[0]:.4f}",
+            "R2_other_start": f"{scores[1]:.4f}",
+            "verdicts": ", ".join(one.get("verdicts", [])),
+            "wrong": cells.wrong_in([one]),
+            "cpu_seconds": f"{one['cpu']:.2f}",
+        }
+        lines.append((scores[0] > FOLLOWS, scores[1] > FOLLOWS, line))
     yield from (line for *_, line in sorted(lines, key=lambda entry: entry[:2]))
 
 

@@ -14,11 +14,11 @@ import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, astuple, dataclass, field, fields, replace
 from functools import lru_cache, partial
 from itertools import groupby
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, Literal, TypeVar, cast
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -41,8 +41,7 @@ from bayeq.regression.constraints import parse_constraints
 from bayeq.regression.design import build_design
 from bayeq.regression.joint import fit_equations, record_of
 from bayeq.regression.regression import Regression
-from bayeq.resumable.store import Key, ResultStore
-from bayeq.resumable.workers import AHEAD, MAX_JOBS, fill
+from bayeq.resumable.store import AHEAD, MAX_JOBS, Key, ResultStore, fill
 from bayeq.selection.select import Rules, select
 from bayeq.states import Roles, Smooth, estimate_motion, parse_chains
 from bayeq.streaming.cluster import Cluster
@@ -53,6 +52,8 @@ from bayeq.systems import System, get_system, simulate
 ALGORITHM_STREAM = 1
 
 LONGEST_MESSAGE = 300
+
+Answer = TypeVar("Answer")
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +70,7 @@ class Realisation:
 Algorithm = Callable[[Realisation, StudyConfig, tuple[int, ...]], Posterior]
 
 
-def _posed(train: Gram, config: StudyConfig) -> tuple[Standardised, Prior]:
+def posed(train: Gram, config: StudyConfig) -> tuple[Standardised, Prior]:
     """The standardised problem and its prior: the paper's, or on smoothed records the defaults of `bayeq.discover`.
 
     Smoothing raises the signal-to-noise ratio, for which the paper's slab is too narrow: its variance is then learned,
@@ -97,7 +98,7 @@ def _rvm(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Poste
 
 def _gibbs(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Posterior:
     """SS-MCMC: the collapsed Gibbs sampler, eqs. (33)-(34), as in the paper without exchange steps."""
-    standard, prior = _posed(data.train, config)
+    standard, prior = posed(data.train, config)
     chains = {"chains": config.chains, "samples": config.samples, "burn_in": config.burn_in}
     posterior = spike_slab_gibbs(standard.gram, prior, **chains, exchange=False, seed=seed, keep_draws=False)
     return posterior.rescaled(standard)
@@ -114,7 +115,7 @@ def _auto(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Post
 
 def _bma(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Posterior:
     """Model averaging with exact weights; selected is the median probability model."""
-    standard, prior = _posed(data.train, config)
+    standard, prior = posed(data.train, config)
     return spike_slab_bma(standard.gram, prior).rescaled(standard)
 
 
@@ -122,7 +123,7 @@ def _vb(
     init: Literal["search", "greedy", "rvm"], data: Realisation, config: StudyConfig, seed: tuple[int, ...]
 ) -> Posterior:
     """SS-VB, from one start or several."""
-    standard, prior = _posed(data.train, config)
+    standard, prior = posed(data.train, config)
     return spike_slab_vb(standard.gram, prior, init=init).rescaled(standard)
 
 
@@ -185,58 +186,47 @@ def draw(config: StudyConfig, system: str, index: int) -> Realisation:
 
 
 def realise(config: StudyConfig, task: Task) -> list[Result]:
-    """Run the algorithms of a task; what fails is a result too.
-
-    Only running out of memory, a package that is missing, and the user stop it.
-    """
+    """Run the algorithms of a task; what fails is a result too."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # what they say, not having converged, is in the result
-        try:
-            data = draw(config, task.system, task.index)
-        except (MemoryError, ImportError):
-            raise
-        except Exception as error:  # noqa: BLE001 - one bad realisation must not end a study of thousands
-            failure = _message(error)
-            return [Result(task.system, task.index, name, failure=failure) for name in task.algorithms]
-        return [_run(config, task, name, data) for name in task.algorithms]
+        data, failure = _tried(draw, config, task.system, task.index)
+        results = []
+        for name in task.algorithms:
+            result = None
+            if data is not None:
+                result, failure = _tried(_run, config, task, name, data)
+            results.append(result or Result(task.system, task.index, name, failure=failure))
+    return results
+
+
+def _tried(work: Callable[..., Answer], *arguments: Any) -> tuple[Answer | None, str | None]:
+    """What some work gives, or the type and message of its exception.
+
+    One bad realisation must not end a study of thousands; only running out of memory, a package that is missing, and
+    the user stop it.
+    """
+    try:
+        return work(*arguments), None
+    except (MemoryError, ImportError):
+        raise
+    except Exception as error:  # noqa: BLE001
+        return None, one_line(f"{type(error).__name__}: {error}")[:LONGEST_MESSAGE]
 
 
 def _run(config: StudyConfig, task: Task, name: str, data: Realisation) -> Result:
     """One algorithm on one realisation, timed."""
     seed = (*_seed(config, task.system, task.index), ALGORITHM_STREAM)
     algorithm = ALGORITHMS[name]
-    try:
-        start = time.perf_counter()
-        answer = algorithm(data, config, seed)
-        seconds = time.perf_counter() - start
-        metrics = measure(data.train, data.test, data.truth, answer.support, answer.coef)
-        if not metrics.finite:
-            raise FloatingPointError("coefficients that are not finite")
-    except (MemoryError, ImportError):
-        raise
-    except Exception as error:  # noqa: BLE001 - as above: recorded with its type and message
-        return Result(task.system, task.index, name, failure=_message(error))
-    return Result(
-        system=task.system,
-        index=task.index,
-        algorithm=name,
-        metrics=metrics,
-        seconds=seconds,
-        selected=tuple(data.train.names[j] for j in np.flatnonzero(answer.support)),
-        converged=bool(answer.converged),
-        extras=_extras(answer),
-    )
-
-
-def _extras(posterior: Posterior) -> dict[str, Any]:
-    """What else an algorithm says, as plain numbers."""
-    found = {name: getattr(posterior, name) for name in ("elbo", "rhat")}
-    known = {name: float(value) for name, value in found.items() if value is not None and math.isfinite(value)}
-    return {"n_iter": int(posterior.n_iter), **known}
-
-
-def _message(error: Exception) -> str:
-    return one_line(f"{type(error).__name__}: {error}")[:LONGEST_MESSAGE]
+    start = time.perf_counter()
+    answer = algorithm(data, config, seed)
+    seconds = time.perf_counter() - start
+    metrics = measure(data.train, data.test, data.truth, answer.support, answer.coef)
+    if not metrics.finite:
+        raise FloatingPointError("coefficients that are not finite")
+    selected = tuple(data.train.names[j] for j in np.flatnonzero(answer.support))
+    said = {name: value for name in ("elbo", "rhat") if (value := getattr(answer, name)) is not None}
+    extras = {"n_iter": int(answer.n_iter)} | {k: float(value) for k, value in said.items() if math.isfinite(value)}
+    return Result(task.system, task.index, name, metrics, seconds, selected, bool(answer.converged), extras)
 
 
 # (system, algorithm) -> how many realisations were asked for.
@@ -403,38 +393,21 @@ class Store(ResultStore):
 
 
 def _row(result: Result) -> tuple[Any, ...]:
-    m = result.metrics
-    return (
-        result.system,
-        result.index,
-        result.algorithm,
-        *([None] * len(METRICS) if m is None else [float(getattr(m, name)) for name in METRICS]),
-        result.seconds,
-        json.dumps(list(result.selected)),
-        result.converged,
-        json.dumps(dict(result.extras), sort_keys=True),
-        result.failure,
-    )
+    values = [None] * len(METRICS) if result.metrics is None else map(float, astuple(result.metrics))
+    selected, extras = json.dumps(list(result.selected)), json.dumps(dict(result.extras), sort_keys=True)
+    about = (result.system, result.index, result.algorithm)
+    return (*about, *values, result.seconds, selected, result.converged, extras, result.failure)
 
 
 def _result(row: tuple[Any, ...]) -> Result:
     system, index, algorithm, *values, seconds, selected, converged, extras, failure = row
     metrics = None
     if failure is None:
-        errors = dict(zip(METRICS, map(float, values), strict=True))
-        exact, superset = bool(errors.pop("exact")), bool(errors.pop("superset"))
-        metrics = Metrics(**errors, exact=exact, superset=superset)
-    return Result(
-        system=str(system),
-        index=int(index),
-        algorithm=str(algorithm),
-        metrics=metrics,
-        seconds=None if seconds is None else float(seconds),
-        selected=tuple(json.loads(selected)),
-        converged=None if converged is None else bool(converged),
-        extras=json.loads(extras),
-        failure=failure,
-    )
+        scaled, error, predicted, fdr, exact, superset = map(float, values)
+        metrics = Metrics(scaled, error, predicted, fdr, bool(exact), bool(superset))
+    seconds, converged = None if seconds is None else float(seconds), None if converged is None else bool(converged)
+    selected, extras = tuple(json.loads(selected)), json.loads(extras)
+    return Result(str(system), int(index), str(algorithm), metrics, seconds, selected, converged, extras, failure)
 
 
 # Work that is sent to a worker at a time [s], and realisations at most: a kill loses no more than this.

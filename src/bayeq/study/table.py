@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -13,6 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from bayeq.arrays import Floats
 from bayeq.citation import PAPER
 from bayeq.markup import aligned
 from bayeq.study.config import STUDY_SYSTEMS
@@ -117,11 +116,11 @@ def _cell(system: str, algorithm: str, results: Sequence[Result]) -> Row:
     }
 
 
-def _mean(values: np.ndarray[Any, np.dtype[np.float64]]) -> float | None:
+def _mean(values: Floats) -> float | None:
     return float(values.mean()) if values.size else None
 
 
-def _standard_error(name: str, values: np.ndarray[Any, np.dtype[np.float64]]) -> float | None:
+def _standard_error(name: str, values: Floats) -> float | None:
     """sd/sqrt(n), for rates sqrt(p (1 - p)/n); None where there are too few values."""
     n = values.size
     if n < 2:
@@ -298,6 +297,8 @@ def _markdown(head: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
 
 def _csv(rows: Sequence[Row]) -> str:
     """Nested values under names such as se_exact and paper_exact."""
+    import pandas as pd
+
     flat = []
     for row in rows:
         line: Row = {}
@@ -307,9 +308,4 @@ def _csv(rows: Sequence[Row]) -> str:
             elif key != "paper":
                 line[key] = value
         flat.append(line)
-    columns = list(dict.fromkeys(name for line in flat for name in line))
-    out = io.StringIO()
-    writer = csv.DictWriter(out, columns, lineterminator="\n", restval="")
-    writer.writeheader()
-    writer.writerows(flat)
-    return out.getvalue().rstrip("\n")
+    return pd.DataFrame(flat, dtype=object).to_csv(index=False, lineterminator="\n").rstrip("\n")

@@ -180,12 +180,14 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
         if pieces is not None and varying:
             grams.update(zip(varying, series_grams(Z, T[:, varying], pieces, floors[varying]), strict=True))
         inclusion = self._inclusion(Z)
-        self.posteriors_ = tuple(
-            self._posterior(
-                _in_original_units(gram, size, target_size[k]), inclusion, size, target_size[k], x, y[:, k], weights
-            )
-            for k, gram in sorted(grams.items())
-        )
+        posteriors = []
+        for k, gram in sorted(grams.items()):
+            found = self._posterior(_in_original_units(gram, size, target_size[k]), inclusion, size, target_size[k])
+            # not that of the bins, but of the rows
+            left = float(weights @ (y[:, k] - x @ found.coef) ** 2)
+            noise = left / max(float(weights.sum()) - found.support.sum(), 1.0)
+            posteriors.append(replace(found, noise_variance=noise))
+        self.posteriors_ = tuple(posteriors)
         self.coef_ = np.array([p.coef for p in self.posteriors_])
         self.ind_ = np.array([p.support for p in self.posteriors_])
         self.pip_ = np.array([p.pip for p in self.posteriors_])
@@ -211,16 +213,7 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
         inclusion[order[np.tril(alike, -1).any(axis=1)]] = 0.0
         return inclusion
 
-    def _posterior(
-        self,
-        gram: Gram,
-        inclusion: Floats,
-        size: Floats,
-        target_size: float,
-        x: Floats,
-        y: Floats,
-        weights: Floats,
-    ) -> Posterior:
+    def _posterior(self, gram: Gram, inclusion: Floats, size: Floats, target_size: float) -> Posterior:
         """Of one target, as `discover` finds that of a regression."""
         unit = gram.in_units(size, target_size)
         scale = residual_scale(unit.gram)
@@ -238,10 +231,7 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
             prior = replace(prior, slab_variance=learn_slab_variance(standard.gram, prior))
         engine = ENGINES[self.method]
         options = {"seed": self.random_state} if engine.random else {}
-        found = engine.run(standard.gram, prior, **options).rescaled(standard)
-        # not that of the bins, but of the rows
-        left = float(weights @ (y - x @ found.coef) ** 2)
-        return replace(found, noise_variance=left / max(float(weights.sum()) - found.support.sum(), 1.0))
+        return engine.run(standard.gram, prior, **options).rescaled(standard)
 
     def _check_parameters(self) -> None:
         if self.unbias:
