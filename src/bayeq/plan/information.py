@@ -1,4 +1,4 @@
-"""The likeliest models of an equation, and what a motion tells of them: expected log Bayes factors.
+"""The likeliest models of an equation, and what a motion tells about them: expected log Bayes factors.
 
 Two models of a target y, with terms D_L and D_R, are both fitted to a new record. With noise of variance sigma^2 the
 log Bayes factor of a true L against R, by Schwarz's approximation of both evidences, is expected to be
