@@ -51,7 +51,11 @@ def test_chaotic_systems_are_found_by_one_of_three_states():
     assert found["E"] < 1e-3
     assert found["verdicts"] == ["found"] * 3
     assert found["intervals"] == 7
-    told = dysts.measure(("Rossler", 1.0, "bayeq told"), 7200)
+
+
+@pytest.mark.slow
+def test_what_is_told_of_chaotic_systems_is_hardly_better():
+    found, told = (dysts.measure(("Rossler", 1.0, method), 7200) for method in ("bayeq", "bayeq told"))
     assert told["exact"]
     assert found["E"] < 1.1 * told["E"]
 
@@ -81,7 +85,7 @@ def test_a_found_system_follows_both_trajectories():
 @pytest.mark.parametrize(("system", "noise"), [("10", "added 5"), ("47", "added 1")])
 def test_constants_where_the_likelihood_is_not_finite_everywhere(system, noise):
     """Powers of what noise makes negative at some values; a step of constants that goes too far."""
-    found = odebench.measure((system, 1, noise, 1.0, "informed", "bayeq"), 7000)
+    found = odebench.measure((system, 1, noise, 0.5, "informed", "bayeq"), 7000)
     assert "error" not in found
     assert found["R2"][0] > 0.9
 
