@@ -28,7 +28,10 @@ ELSEWHERE = {
 LONG = {
     "docs/batch.md",
     "docs/faq.md",
+    "docs/answer.md",
+    "docs/arviz.md",
     "docs/laws.md",
+    "docs/matlab.md",
     "docs/tutorials/channels.md",
     "docs/tutorials/engines.md",
     "docs/tutorials/first_equation.md",
