@@ -19,7 +19,7 @@ from bayeq.errors import CorrelatedResidualsWarning, FileFormatError, InputError
 
 @pytest.fixture(scope="module")
 def record():
-    return bq.simulate("duffing", seed=3, noise={"a": 0.02})
+    return bq.simulate("duffing", n=2000, seed=3, noise={"a": 0.02})
 
 
 @pytest.fixture(scope="module")
@@ -163,7 +163,7 @@ def test_plain_text_for_a_pipe_and_style_for_a_terminal(monkeypatch, eq):
     assert plain.splitlines()[0] == f"verdict: {eq.verdict}"
     assert plain.splitlines()[2] == eq[0].text
     assert "| x**3 " in plain
-    assert "held-out rows (800)" in plain
+    assert "held-out rows (400)" in plain
     assert "\x1b" not in plain
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
     assert "\x1b[1m" in str(eq)
