@@ -85,7 +85,7 @@ def test_a_state_that_is_not_needed_is_left_out():
 
 def test_forms_that_say_the_same_are_told():
     """With v, x, u and r alone every sum of r and these obeys a law of the same terms."""
-    eq = found(oscillator(3, "maxwell", rows=1000, noise=0.02), hidden="v, r, x, u")
+    eq = found(oscillator(3, "maxwell", rows=700, noise=0.02), hidden="v, r, x, u")
     assert eq.verdict.kind == "not determined"
     assert eq.hidden[0].log_odds_without < -100.0
 
