@@ -58,7 +58,7 @@ def test_a_band_leaves_hum_out(hum, tmp_path, capsys):
     assert direct[0].shown_coef == pytest.approx(found[0].shown_coef)
 
 
-@pytest.mark.parametrize("drifting", ["x", "a"])
+@pytest.mark.parametrize("drifting", [pytest.param("x", marks=pytest.mark.slow), "a"])
 def test_channels_may_drift_below_the_band(drifting):
     rec = bq.simulate("duffing", n=2000, seed=2, noise=0.02)
     walk = np.cumsum(np.random.default_rng(2).normal(size=rec.n))

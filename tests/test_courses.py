@@ -22,7 +22,7 @@ from bayeq.states import Roles, estimate_motion
     [
         pytest.param("straight", 0.003, "linear", marks=pytest.mark.slow),  # as below
         ("held", 0.003, "hold"),
-        ("taps", 0.02, None),
+        pytest.param("taps", 0.02, None, marks=pytest.mark.slow),  # between its samples as forces of other tests
         pytest.param("blows", 0.0, None, marks=pytest.mark.slow),
     ],
 )

@@ -27,6 +27,7 @@ ELSEWHERE = {
 # Pages of many discoveries, whose questions other tests ask of shorter records.
 LONG = {
     "docs/batch.md",
+    "docs/commands.md",
     "docs/faq.md",
     "docs/answer.md",
     "docs/arviz.md",

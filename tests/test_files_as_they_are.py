@@ -136,7 +136,7 @@ def test_gains(frame, tmp_path, capsys):
 # --- samples, times --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("value", [np.inf, -np.inf, 1e300])
+@pytest.mark.parametrize("value", [np.inf, pytest.param(-np.inf, marks=pytest.mark.slow), 1e300])
 def test_an_impossible_sample_is_a_missing_one(frame, value):
     bad, missing = frame.copy(), frame.copy()
     bad.loc[200, "v"], missing.loc[200, "v"] = value, np.nan
