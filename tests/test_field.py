@@ -51,11 +51,7 @@ def test_chaotic_systems_are_found_by_one_of_three_states():
     assert found["E"] < 1e-3
     assert found["verdicts"] == ["found"] * 3
     assert found["intervals"] == 7
-
-
-@pytest.mark.slow
-def test_what_is_told_of_chaotic_systems_is_hardly_better():
-    found, told = (dysts.measure(("Rossler", 1.0, method), 7200) for method in ("bayeq", "bayeq told"))
+    told = dysts.measure(("Rossler", 1.0, "bayeq told"), 7200)
     assert told["exact"]
     assert found["E"] < 1.1 * told["E"]
 
