@@ -52,9 +52,9 @@ def quietly(*arguments, **options):
 @pytest.mark.parametrize("tails", [None, 3.0])
 def test_the_shape_of_what_is_left_is_that_of_the_noise(tails):
     """Not that of the errors of smoothing, which are larger here than there."""
-    clean = bq.simulate("cart_pole", n=1200, seed=1, noise=0.0)
+    clean = bq.simulate("cart_pole", n=800, seed=1, noise=0.0)
     rng = np.random.default_rng(0)
-    noise = {name: rng.standard_normal(1200) if tails is None else rng.standard_t(tails, 1200) for name in "xqu"}
+    noise = {name: rng.standard_normal(800) if tails is None else rng.standard_t(tails, 800) for name in "xqu"}
     record = bq.Record.from_arrays(
         {name: clean[name] + 0.01 * clean[name].std() * noise[name] for name in "xqu"}, fs=100.0
     )

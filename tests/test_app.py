@@ -306,7 +306,7 @@ def test_a_session_reads_again_and_takes_further_records():
         await session.read_again()
         session.further.append(second)
         session.choices.roles = {"p": Choice("displacement"), "r": Choice("acceleration"), "s": Choice("input")}
-        session.choices.dictionary = "p, s"
+        session.choices.dictionary = "p, dp, s"
         await session.discover()
 
     try:

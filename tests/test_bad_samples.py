@@ -43,8 +43,13 @@ def changed(record, name, rows, values):
 
 
 @pytest.mark.parametrize("name", ["x", "v", "a", "u"])
-@pytest.mark.parametrize("size", [2.0, 100.0])
-@pytest.mark.parametrize("row", [15, 1234, 1984])
+@pytest.mark.parametrize(
+    ("row", "size"),
+    [
+        *((15, 100.0), (1234, 2.0), (1984, 2.0)),
+        *(pytest.param(row, size, marks=pytest.mark.slow) for row, size in ((15, 2.0), (1234, 100.0), (1984, 100.0))),
+    ],
+)
 def test_one_spike_is_found_in_every_channel(duffing, name, size, row):
     spoiled = changed(duffing, name, row, duffing[name][row] + size * duffing[name].std())
     assert found(spoiled) == {name: {"spikes": [row]}}
@@ -128,14 +133,15 @@ def good_records(seed):
     yield bq.simulate("duffing", seed=seed, noise=0.05, force=white), OSCILLATOR
 
 
-def test_of_gaussian_noise_at_most_one_sample_in_1e5_is_left_out():
+@pytest.mark.statistical(short=1, full=3)
+def test_of_gaussian_noise_at_most_one_sample_in_1e5_is_left_out(number):
     left_out = samples = 0
-    for seed in (1, 2, 3):
-        for record, which in good_records(seed):
+    for seed in range(number):
+        for record, which in good_records(seed + 1):
             (channels,) = find_bad_samples([record], which)
             left_out += sum(int(np.any(list(bad.values()), axis=0).sum()) for bad in channels.values())
             samples += record.n * len(record.names)
-    assert samples >= 4e5
+    assert samples >= 1.3e5 * number
     assert left_out <= 1e-5 * samples
 
 
@@ -154,10 +160,16 @@ FORCES = {
 }
 
 
-@pytest.mark.parametrize("system", ["duffing", "coulomb"])
-@pytest.mark.parametrize("name", FORCES)
-@pytest.mark.parametrize("noise", [0.002, 0.02])
-def test_forces_that_jump_are_no_bad_samples(system, name, noise):
+# Every force once, of systems and levels of noise in turns; all of both are for make slow.
+CASES = [(name, system, noise) for name in FORCES for system in ("duffing", "coulomb") for noise in (0.002, 0.02)]
+ALTERNATING = {(name, *(("duffing", 0.002) if k % 2 else ("coulomb", 0.02))) for k, name in enumerate(FORCES)}
+
+
+@pytest.mark.parametrize(
+    ("name", "system", "noise"),
+    [pytest.param(*case, marks=[pytest.mark.slow] * (case not in ALTERNATING)) for case in CASES],
+)
+def test_forces_that_jump_are_no_bad_samples(name, system, noise):
     force = FORCES[name](np.random.default_rng(8), 2000)
     # a command is known without noise
     record = bq.simulate(system, seed=4, noise={"x": noise, "v": noise, "a": noise}, force=force)
@@ -168,8 +180,8 @@ def test_forces_that_jump_are_no_bad_samples(system, name, noise):
 @pytest.mark.parametrize("system", ["linear", "coulomb"])
 def test_free_decays_and_rest_are_no_bad_samples(system, chain):
     known = replace(bq.SYSTEMS[system], initial={"x": 0.1, "v": 0.0})
-    decay = bq.simulate(known, seed=2, noise=0.01, force=np.zeros(6000))
-    rest = bq.Record({name: np.append(np.zeros(300), decay[name]) for name in "xva"}, np.arange(6300) / 1000.0)
+    decay = bq.simulate(known, seed=2, noise=0.01, fs=500.0, force=np.zeros(3000))
+    rest = bq.Record({name: np.append(np.zeros(150), decay[name]) for name in "xva"}, np.arange(3150) / 500.0)
     for record in (decay, rest):
         assert found(record, roles(chain)) == {}
         steps = {name: np.ptp(record[name]) / 256 for name in "xva"}
@@ -190,19 +202,24 @@ FEW = {"chains": "x:v:a", "inputs": ["u"], "dictionary": "x, v, x**3, u, x**2, x
 
 
 @pytest.fixture(scope="module")
-def clean(duffing):
-    return bq.discover(duffing, **FEW)
+def short(duffing):
+    return duffing.slice(0, 1000)
+
+
+@pytest.fixture(scope="module")
+def clean(short):
+    return bq.discover(short, **FEW)
 
 
 @pytest.mark.parametrize("name", ["x", "u"])
-def test_a_spike_does_not_spoil_the_equation(duffing, clean, name):
-    spoiled = changed(duffing, name, 1300, 100.0 * duffing[name].std())
+def test_a_spike_does_not_spoil_the_equation(short, clean, name):
+    spoiled = changed(short, name, 700, 100.0 * short[name].std())
     with pytest.warns(DataWarning, match=f"{name}: 1 sample left out as spike"):
         eqs = bq.discover(spoiled, **FEW)
     assert eqs[0].included == clean[0].included == ("x", "v", "x**3", "u")
     for term in clean[0].included:
         assert eqs[0].coef[term] == pytest.approx(clean[0].coef[term], rel=0.01)
-    assert any("row 1301" in message for message in eqs.warnings)
+    assert any("row 701" in message for message in eqs.warnings)
 
 
 @pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
@@ -210,7 +227,7 @@ def test_missing_samples_are_bridged_and_reported(duffing):
     rng = np.random.default_rng(2)
     gaps = {name: np.where(rng.random(duffing.n) < 0.02, np.nan, duffing[name]) for name in duffing.names}
     record = duffing.with_channels(gaps)
-    eqs = bq.discover(record, chains="x:v:a", inputs=["u"])
+    eqs = bq.discover(record, **FEW)
     count = int(np.isnan(record["v"]).sum())
     assert any(message.startswith(f"v: {count} samples are missing (rows") for message in eqs.warnings)
     assert eqs[0].included == ("x", "v", "x**3", "u")

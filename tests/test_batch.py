@@ -294,9 +294,10 @@ def test_an_interrupted_command_says_how_to_go_on(days, tmp_path, capsys, monkey
     assert "the same command continues" in err
 
 
-def test_a_stop_keeps_what_is_done(days, tmp_path, capsys):
+@pytest.mark.parametrize("jobs", ["1", pytest.param("2", marks=pytest.mark.slow)])
+def test_a_stop_keeps_what_is_done(days, tmp_path, capsys, jobs):
     store = tmp_path / "batch.db"
-    command = [sys.executable, "-m", "bayeq", "batch", str(days), *WORDS, "--store", str(store), "--jobs", "2"]
+    command = [sys.executable, "-m", "bayeq", "batch", str(days), *WORDS, "--store", str(store), "--jobs", jobs]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     while process.poll() is None and rows_in(store) < 1:
         time.sleep(0.001)
@@ -359,16 +360,18 @@ def test_coefficients_of_a_common_equation(folder, tmp_path, capsys, monkeypatch
     assert json.loads(capsys.readouterr().out)["table"] == answer["table"]
 
 
-def test_a_batch_that_is_killed_goes_on_with_the_common_equation_that_it_had_found(days, folder, tmp_path, monkeypatch):
+def test_a_batch_that_is_stopped_goes_on_with_the_common_equation_that_it_had(days, folder, tmp_path, monkeypatch):
     """No file is read for it again; a file that changes, or other options, ask for another one."""
     store, options = tmp_path / "batch.db", {**OPTIONS, "common": True}
+    days, folder = ([where / f"day{k}.csv" for k in (8, 9)] for where in (days, folder))
     expected = bq.batch(days, store=tmp_path / "undisturbed.db", **options).table()
-    program = KILLED.format(options=options)
-    process = subprocess.Popen([sys.executable, "-c", program, str(days), str(store), "1"])
-    while process.poll() is None and rows_in(store) < 1:
-        time.sleep(0.001)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
+
+    def stopped(stage, done, total):
+        if stage == "files" and done == 1:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        bq.batch(days, store=store, progress=stopped, **options)
     kept = rows_in(store)
     asked = []
 
@@ -379,7 +382,7 @@ def test_a_batch_that_is_killed_goes_on_with_the_common_equation_that_it_had_fou
     monkeypatch.setattr("bayeq.batches.run.discover", counted)
     monkeypatch.setattr("bayeq.batches.run.as_records", None)
     rest = bq.batch(days, store=store, **options)
-    assert [type(source) for source in asked] == [type(days)] * (4 - kept) == [type(days)] * rest.done
+    assert [type(source) for source in asked] == [type(days[0])] * (2 - kept) == [type(days[0])] * rest.done
     pd.testing.assert_frame_equal(rest.table(), expected)
     monkeypatch.undo()
     monkeypatch.setattr("bayeq.batches.run.discover", counted)
@@ -387,7 +390,7 @@ def test_a_batch_that_is_killed_goes_on_with_the_common_equation_that_it_had_fou
         asked.clear()
         bq.batch(days, store=store, **changed)
         assert isinstance(asked[0], list)
-    day = folder / "day9.csv"
+    day = folder[1]
     day.write_text("".join(day.read_text().splitlines(keepends=True)[:-1]))
     asked.clear()
     bq.batch(folder, store=store, **options)
@@ -396,14 +399,13 @@ def test_a_batch_that_is_killed_goes_on_with_the_common_equation_that_it_had_fou
 
 def test_files_that_are_read_some_rows_at_a_time(days, tmp_path, capsys):
     files = [str(days / "day8.csv"), str(days / "day9.csv")]
-    for extra in ([], ["--common"]):
-        tables = []
-        for way in ("--stream", "--no-stream"):
-            words = ["batch", *files, *WORDS, *extra, way, "--json", "--store", str(tmp_path / "a.db")]
-            assert main(words) == 0
-            tables.append(pd.DataFrame(json.loads(capsys.readouterr().out)["table"]))
-        streamed, whole = (table.query("term != '1'") for table in tables)
-        np.testing.assert_allclose(streamed.coef, whole.coef, rtol=0.05)
+    tables = []
+    for way in ("--stream", "--no-stream"):
+        words = ["batch", *files, *WORDS, "--common", way, "--json", "--store", str(tmp_path / "a.db")]
+        assert main(words) == 0
+        tables.append(pd.DataFrame(json.loads(capsys.readouterr().out)["table"]))
+    streamed, whole = (table.query("term != '1'") for table in tables)
+    np.testing.assert_allclose(streamed.coef, whole.coef, rtol=0.05)
 
 
 def test_no_common_equation(tmp_path):

@@ -94,7 +94,7 @@ DICTIONARY = {"ddx1": "x1, dx1, x1-x2, dx1-dx2, u", "ddx2": "x2, dx2, x2-x1, dx2
 
 
 def _two_masses(constraints: list[str]) -> bq.Equations:
-    record = simulate(TWO, seed=5)
+    record = simulate(TWO, seed=5, n=400)
     return bq.discover(
         record, chains=["x1::", "x2::"], inputs=["u"], dictionary=DICTIONARY, constraints=constraints, holdout=0.0
     )
@@ -136,7 +136,7 @@ def test_a_coefficient_that_was_measured_before_is_sharper_and_a_wrong_one_is_to
 def _runs(heavier: float) -> list[bq.Record]:
     """Three records of an oscillator, the last one of which has another mass."""
     return [
-        simulate("linear", seed=k, n=400, noise=0.02, parameters={"m": heavier if k == 2 else 1.0}) for k in range(3)
+        simulate("linear", seed=k, n=250, noise=0.02, parameters={"m": heavier if k == 2 else 1.0}) for k in range(3)
     ]
 
 

@@ -16,7 +16,7 @@ FULL = ["--disp", "x", "--vel", "v", "--acc", "a", "--force", "u"]
 @pytest.fixture(scope="module")
 def answer(tmp_path_factory):
     path = tmp_path_factory.mktemp("brief") / "duffing.csv"
-    bq.write(bq.simulate("duffing", seed=1), path)
+    bq.write(bq.simulate("duffing", n=2000, seed=1), path)
     eq = bq.discover(bq.read(path), displacement="x", velocity="v", acceleration="a", force="u")
     eq.save(path.with_name("eq.json"))
     return path, eq
@@ -41,11 +41,11 @@ def test_an_oscillator_in_sixteen_lines(answer, capsys):
             (line,) = (line for line in lines if line.split()[:1] == [one.symbol])
             assert float(line.split()[1]) == pytest.approx(one.mean, rel=1e-3)
     assert re.search(
-        r"^checked on 800 rows that were not used: a within [\d.]+ %, free run within x", out, re.MULTILINE
+        r"^checked on 400 rows that were not used: a within [\d.]+ %, free run within x", out, re.MULTILINE
     )
     assert "what is left looks like noise" in " ".join(out.split())
     assert "sign(x) below" in out  # too small to be seen
-    assert lines[-1].startswith("4000 rows at 1000 Hz, 4 s, of duffing.csv, all used")
+    assert lines[-1].startswith("2000 rows at 1000 Hz, 2 s, of duffing.csv, all used")
     # all terms are certain and there is no rival: no table
     assert "probability" not in out.lower().split("too small")[0]
     assert "PIP" not in out

@@ -197,6 +197,7 @@ def test_the_committed_table_has_ten_bins_of_five_hundred_terms():
         assert abs(float(line["stated"]) - float(line["true"])) < 4.0 * float(line["se_robust"])
 
 
+@pytest.mark.slow  # tables of any number of jobs: test_ablation
 def test_the_study_is_reproducible_whatever_the_number_of_jobs(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(calibration, "PROBLEMS", {("correlated", 50): 4})
     monkeypatch.setattr(calibration, "BATCH", 2)

@@ -38,10 +38,11 @@ def kinds(record, chains=CHAIN, inputs=("u",)):
 # --- clean records ---------------------------------------------------------------------------------------------------
 
 
-def test_clean_records_pass():
+@pytest.mark.statistical(short=3, full=5)
+def test_clean_records_pass(number):
     # of 6700 checks of clean records (the four oscillators of 200 to 4000 rows, Lorenz; 0 to 10 % noise) none alarmed;
-    # here 66 records, those of oscillators with three chains each
-    for seed in range(5):
+    # here up to 66 records, those of oscillators with three chains each
+    for seed in range(number):
         for system in OSCILLATORS:
             for noise in (0.0, 0.05, 0.1):
                 record = simulated(system, seed, noise, n=(4000, 1000, 300)[seed % 3])
@@ -420,7 +421,7 @@ def test_the_command_warns_and_goes_on(tmp_path, capsys):
     record = simulated("linear", 2)
     file = tmp_path / "wrong.csv"
     bq.write(record.with_channels({"a": record["a"] / 9.80665}), file)
-    assert main(["discover", str(file), "--disp", "x", "--vel", "v", "--acc", "a", "--force", "u"]) == 0
+    assert main(["discover", str(file), "--chain", "x:v:a", "--input", "u", "--smooth", "none"]) == 0
     err = capsys.readouterr().err
     assert "bayeq: warning: a is 0.1021 times d2x/dt2: that is about the factor between g and m/s^2" in err
 

@@ -20,12 +20,6 @@ from bayeq.cli.terminal import COMPILING, PROGRESS
 from tests.uncovered import uncovered
 
 
-def bayeq(*arguments, **options):
-    return subprocess.run(
-        [sys.executable, "-m", "bayeq", *map(str, arguments)], capture_output=True, text=True, check=False, **options
-    )
-
-
 @pytest.fixture(scope="module")
 def duffing(tmp_path_factory):
     path = tmp_path_factory.mktemp("run") / "duffing.csv"
@@ -38,10 +32,11 @@ OSCILLATOR = ["--disp", "x", "--vel", "v", "--acc", "a", "--force", "u"]
 AS_MEASURED = [*OSCILLATOR, "--smooth", "none"]
 
 
-def test_simulate_then_discover_as_json(duffing):
-    done = bayeq("discover", duffing, *OSCILLATOR, "--smooth", "none", "--json")
-    assert done.returncode == 0
-    out = json.loads(done.stdout)
+@pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
+def test_simulate_then_discover_as_json(duffing, capsys):
+    assert main(["discover", str(duffing), *AS_MEASURED, "--json"]) == 0
+    printed, said = capsys.readouterr()
+    out = json.loads(printed)
     assert out["version"] == bq.__version__
     assert out["method"] == "auto"
     assert out["data"]["file"] == "duffing.csv"
@@ -49,16 +44,16 @@ def test_simulate_then_discover_as_json(duffing):
     (equation,) = out["equations"]
     assert equation["target"] == "a"
     assert {t["name"] for t in equation["terms"] if t["included"]} == {"x", "v", "x**3", "u"}
-    assert all(
-        line == COMPILING or line.startswith(("bayeq: warning: ", PROGRESS)) for line in done.stderr.splitlines()
-    )
+    assert all(line == COMPILING or line.startswith(("bayeq: warning: ", PROGRESS)) for line in said.splitlines())
 
 
-def test_the_installed_command_is_the_module(duffing):
+@pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
+def test_the_installed_command_is_that_of_the_module(duffing, capsys):
     command = Path(sys.executable).parent / "bayeq"
     done = subprocess.run([command, "discover", duffing, *AS_MEASURED], capture_output=True, text=True, check=False)
     assert done.returncode == 0
-    assert done.stdout == bayeq("discover", duffing, *AS_MEASURED).stdout
+    assert main(["discover", str(duffing), *AS_MEASURED]) == 0
+    assert done.stdout == capsys.readouterr().out
     assert "\na = " in done.stdout
     assert "\x1b" not in done.stdout
 
@@ -66,15 +61,14 @@ def test_the_installed_command_is_the_module(duffing):
 def test_all_of_the_paper_s_systems_through_the_command(tmp_path, capsys):
     # a sample of the 100 seeds that the Python tests run: the command gives the same answers
     for system in ("linear", "duffing"):
-        for seed in range(2):
-            path = tmp_path / f"{system}{seed}.csv"
-            assert main(["simulate", system, "-o", str(path), "--seed", str(seed)]) == 0
-            capsys.readouterr()
-            assert main(["discover", str(path), *OSCILLATOR, "--smooth", "none", "--json"]) == 0
-            found = {t["name"] for t in json.loads(capsys.readouterr().out)["equations"][0]["terms"] if t["included"]}
-            record = bq.simulate(system, seed=seed)
-            direct = bq.discover(record, displacement="x", velocity="v", acceleration="a", force="u", smooth="none")
-            assert found == set(direct[0].included)
+        path = tmp_path / f"{system}.csv"
+        assert main(["simulate", system, "-o", str(path), "--seed", "0", "--n", "1500"]) == 0
+        capsys.readouterr()
+        assert main(["discover", str(path), *AS_MEASURED, "--json"]) == 0
+        found = {t["name"] for t in json.loads(capsys.readouterr().out)["equations"][0]["terms"] if t["included"]}
+        record = bq.simulate(system, seed=0, n=1500)
+        direct = bq.discover(record, displacement="x", velocity="v", acceleration="a", force="u", smooth="none")
+        assert found == set(direct[0].included)
 
 
 pytestmark = pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
@@ -113,9 +107,9 @@ def test_trials_within_a_file_and_several_files(tmp_path, capsys):
     both.write_text("\n".join(rows) + "\n")
     bq.write(a, tmp_path / "a.parquet")
     bq.write(b, tmp_path / "b.npz")
-    assert main(["discover", str(both), "--group", "run", *OSCILLATOR, "--json"]) == 0
+    assert main(["discover", str(both), "--group", "run", *AS_MEASURED, "--json"]) == 0
     grouped = json.loads(capsys.readouterr().out)
-    assert main(["discover", str(tmp_path / "a.parquet"), str(tmp_path / "b.npz"), *OSCILLATOR, "--json"]) == 0
+    assert main(["discover", str(tmp_path / "a.parquet"), str(tmp_path / "b.npz"), *AS_MEASURED, "--json"]) == 0
     separate = json.loads(capsys.readouterr().out)
     for equation in (*grouped["equations"], *separate["equations"]):
         for term in equation["terms"]:
@@ -187,19 +181,12 @@ def test_compiling_is_announced_in_a_pipe_too(duffing, tmp_path):
     process.communicate()
 
 
-def test_a_closed_pipe_is_no_error(duffing):
-    command = f"'{sys.executable}' -m bayeq discover '{duffing}' {' '.join(AS_MEASURED)} --json | true"
-    done = subprocess.run(["bash", "-c", f"set -o pipefail; {command}"], capture_output=True, text=True, check=False)
-    assert "Traceback" not in done.stderr
-    assert done.returncode == 0
-
-
 def test_an_interrupt_is_one_line_and_leaves_no_half_file(tmp_path):
     target = tmp_path / "big.csv"
     target.write_text("what was there before")
     bq.simulate("duffing", n=50)  # compiled before the clock runs
     process = subprocess.Popen(
-        [sys.executable, "-m", "bayeq", "simulate", "duffing", "--n", "3000000", "-o", str(target)],
+        [sys.executable, "-m", "bayeq", "simulate", "duffing", "--n", "1500000", "-o", str(target)],
         stderr=subprocess.PIPE, text=True,
         env=uncovered(),
         # tests that run in the background inherit that interrupts are ignored
@@ -237,7 +224,7 @@ def test_a_second_clock_among_the_channels_is_no_contradiction(tmp_path, capsys)
     path = tmp_path / "clocks.csv"
     rows = zip(record.time, 1000 * record.time, *(record[c] for c in "xvau"), strict=True)
     path.write_text("\n".join(["t,time,x,v,a,u", *(",".join(map(repr, map(float, row))) for row in rows)]) + "\n")
-    assert main(["discover", str(path), *OSCILLATOR, "--json"]) == 0
+    assert main(["discover", str(path), *AS_MEASURED, "--json"]) == 0
     capsys.readouterr()
 
 
@@ -248,5 +235,5 @@ def test_channels_by_their_headers(tmp_path, capsys):
     lines = ['t,Displ. (m),"Vel, ""rel""",Acc-1,F#1', *(",".join(map(repr, map(float, row))) for row in rows)]
     path.write_text("\n".join(lines) + "\n")
     arguments = ["--disp", "Displ. (m)", "--vel", 'Vel, "rel"', "--acc", "Acc-1", "--force", "F#1", "--json"]
-    assert main(["discover", str(path), *arguments]) == 0
+    assert main(["discover", str(path), *arguments, "--smooth", "none"]) == 0
     assert json.loads(capsys.readouterr().out)["equations"][0]["target"] == "Acc_1"

@@ -200,7 +200,7 @@ def test_channels_too_small_to_square(run: Run, folder: Path) -> None:
 @pytest.mark.parametrize("cell", ["nan", "inf", "", "abc", "12:30", "é"])
 def test_columns_that_are_not_used_may_hold_anything(run: Run, folder: Path, cell: str) -> None:
     put(folder / "ok.csv", changed(5, "note", cell))
-    smooth = [] if cell in ("nan", "abc") else AS_MEASURED  # a number and a word, through all that is done
+    smooth = [] if cell == "abc" else AS_MEASURED  # a word, through all that is done
     assert "a = " in assert_answered(run("discover", "ok.csv", *CHANNELS, *SIMPLE, *smooth))
     assert_answered(run("discover", "ok.csv", "--chain", "x:v:a", "--input", "u", *SIMPLE, *AS_MEASURED))
 
@@ -485,13 +485,13 @@ def test_bad_simulations(run: Run, folder: Path, arguments: list[str], parts: li
 @pytest.mark.parametrize("n", [pytest.param(20, marks=pytest.mark.slow), 30])
 def test_few_rows_are_answered_with_warnings(run: Run, folder: Path, n: int) -> None:
     put(folder / "few.csv", rows(n))
-    outcome = run("discover", "few.csv", *CHANNELS)
+    outcome = run("discover", "few.csv", *CHANNELS, *AS_MEASURED)
     assert_answered(outcome)
     assert f"bayeq: warning: only {n} rows" in outcome.err
     assert re.search(rf"bayeq: warning: {n} training rows for \d+ candidate terms: fewer rows than terms", outcome.err)
 
 
-@pytest.mark.parametrize("cell", ["", "nan", "NA"])
+@pytest.mark.parametrize("cell", ["", *(pytest.param(cell, marks=pytest.mark.slow) for cell in ("nan", "NA"))])
 def test_missing_samples_are_answered_with_a_warning(run: Run, folder: Path, cell: str) -> None:
     table = changed(5, "x", cell)
     table[29][3] = cell
@@ -517,7 +517,7 @@ def test_files_of_one_column(run: Run, folder: Path) -> None:
 
 def test_json_is_one_object(run: Run, folder: Path) -> None:
     put(folder / "few.csv", rows(20))
-    outcome = run("discover", "few.csv", *CHANNELS, "--json")
+    outcome = run("discover", "few.csv", *CHANNELS, *AS_MEASURED, "--json")
     answer = json.loads(assert_answered(outcome))
     assert outcome.out.count("\n") == 1
     assert answer["data"]["n"] == 20
@@ -544,8 +544,6 @@ def command(*arguments: str | bytes, **options: str) -> Outcome:
 
 def test_the_command_itself() -> None:
     assert_refused(command("discover", "rnu.csv", *CHANNELS), "did you mean 'run.csv'?")
-    answer = command("discover", "run.csv", *CHANNELS, *AS_MEASURED, "--json")
-    assert json.loads(assert_answered(answer))["equations"][0]["target"] == "a"
 
 
 def test_a_closed_pipe() -> None:

@@ -24,7 +24,7 @@ OSCILLATOR = ["--disp", "x", "--vel", "v", "--acc", "a", "--force", "u", "--dict
 @pytest.fixture(scope="module")
 def record(tmp_path_factory):
     path = tmp_path_factory.mktemp("run") / "duffing.csv"
-    bq.write(bq.simulate("duffing", n=800, seed=1), path)
+    bq.write(bq.simulate("duffing", n=400, seed=1), path)
     return path
 
 
@@ -141,7 +141,7 @@ def test_nothing_is_said_after_the_end(capsys, monkeypatch):
 
 def test_refine_shows_progress_in_a_pipe(record, capsys, monkeypatch):
     monkeypatch.setattr(terminal, "PATIENCE", 0.01)
-    assert main(["discover", str(record), *OSCILLATOR, "--refine"]) == 0
+    assert main(["discover", str(record), *OSCILLATOR, "--smooth", "none", "--refine"]) == 0
     out, err = capsys.readouterr()
     assert f"{PROGRESS}refining" in err
     assert PROGRESS not in out
@@ -158,7 +158,7 @@ def test_verbose_names_the_stages_and_times_them(record, tmp_path, capsys):
 
 
 def test_what_took_long_is_printed_before_it_is_saved(record, tmp_path):
-    command = [sys.executable, "-m", "bayeq", "discover", str(record), *OSCILLATOR, "--verbose"]
+    command = [sys.executable, "-m", "bayeq", "discover", str(record), *OSCILLATOR, "--smooth", "none", "--verbose"]
     done = subprocess.run(
         [*command, "--save", str(tmp_path / "eq.json")],
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False,
@@ -177,7 +177,7 @@ def test_the_verdict_comes_first_and_rate_and_length_are_printed(record, capsys)
     assert lines[0].startswith("verdict: ")
     assert lines[2].startswith("a = ")
     assert lines[4].startswith("| term ")
-    assert any(line.startswith("800 rows at 1000 Hz, 0.8 s, of duffing.csv, ") for line in lines)
+    assert any(line.startswith("400 rows at 1000 Hz, 0.4 s, of duffing.csv, ") for line in lines)
 
 
 def test_the_answer_is_explained_with_its_own_numbers(record, capsys):
@@ -190,7 +190,7 @@ def test_the_answer_is_explained_with_its_own_numbers(record, capsys):
     assert "among the 4 candidate terms" in text
     row = re.search(r"^\| x +\| .*?\| .*?\| +(\S+) \.\. (\S+) ", answer, re.MULTILINE)
     assert f"that of x between {row[1]} and {row[2]}" in text
-    assert "the last 160 rows were not used" in text
+    assert "the last 80 rows were not used" in text
     assert "1:20" not in text or "runners-up" in answer
     # nothing of what is not there
     for part, marked in (("effective:", "~"), ("refined by output error", "refined"), ("time not known", "not known")):

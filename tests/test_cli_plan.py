@@ -21,7 +21,7 @@ QUICK = ["--realisations", "2", "--seconds", "0.5"]
 @pytest.fixture(scope="module")
 def saved(tmp_path_factory):
     folder = tmp_path_factory.mktemp("plan")
-    rec = bq.simulate("duffing", n=1000, seed=1, noise=0.2)
+    rec = bq.simulate("duffing", n=500, seed=1, noise=0.2)
     bq.write(rec, folder / "run.csv")
     arguments = ["--disp", "x", "--vel", "v", "--acc", "a", "--force", "u", "--dictionary", "x, v, x**3, u, v*abs(v)"]
     assert main(["discover", str(folder / "run.csv"), *arguments, "--save", str(folder / "eq.json")]) == 0
@@ -80,7 +80,7 @@ def test_json_is_one_object(saved, capsys):
 
 
 def test_amplitudes_by_input_and_by_range(saved, capsys):
-    for given in (["--amplitude", "u=-50:50"], ["--amplitude", "-50:50"], ["--amplitude", "50"]):
+    for given in (["--amplitude", "u=-50:50"], ["--amplitude", "50"]):
         code, out, _ = run(capsys, saved, *QUICK, "--json", *given)
         assert code == 0
         best = json.loads(out)["designs"][0]

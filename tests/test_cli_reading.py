@@ -77,7 +77,7 @@ def test_time_in_other_words_and_units_is_time(duffing, tmp_path, capsys):
     x, v, a, u = channels(duffing)
     plain = put(tmp_path / "plain.csv", "t,x,v,a,u", duffing.time, x, v, a, u)
     expected, _, reference, _ = discovered(capsys, plain)
-    for header, scale in (("Zeit [s]", 1.0), ("time [ms]", 1e3), ("t_ms", 1e3)):
+    for header, scale in (("Zeit [ms]", 1e3), ("t_ms", 1e3)):
         other = put(tmp_path / "other.csv", f"{header},x,v,a,u", scale * duffing.time, x, v, a, u)
         coef, _, answer, _ = discovered(capsys, other)
         assert answer["data"]["smoothed"]
@@ -91,10 +91,11 @@ def test_time_in_other_words_and_units_is_time(duffing, tmp_path, capsys):
 def test_the_unit_of_time_may_be_given(duffing, tmp_path, capsys):
     x, v, a, u = channels(duffing)
     path = put(tmp_path / "run.csv", "t,x,v,a,u", 1e3 * duffing.time, x, v, a, u)
-    assert discovered(capsys, path, "--units", "t=ms")[2]["data"]["fs"] == pytest.approx(1000.0)
+    assert discovered(capsys, path, "--units", "t=ms", "--smooth", "none")[2]["data"]["fs"] == pytest.approx(1000.0)
 
 
 def test_a_stand_off_is_warned_of_and_can_be_removed(duffing, tmp_path, capsys):
+    duffing = duffing.slice(0, 1000)
     x, v, a, u = channels(duffing)
     path = put(tmp_path / "run.csv", "t,x,v,a,u", duffing.time, x + 0.2, v, a, u)
     _, as_it_is, _, said = discovered(capsys, path, "--physical")
@@ -113,6 +114,7 @@ def test_a_stand_off_is_warned_of_and_can_be_removed(duffing, tmp_path, capsys):
 
 
 def test_row_numbers_are_time_where_it_is_not_known(duffing, tmp_path, capsys):
+    duffing = duffing.slice(0, 800)
     x, v, a, u = channels(duffing)
     path = put(tmp_path / "run.csv", "x,v,a,u", x, v, a, u)
     coef, _, answer, said = discovered(capsys, path)
@@ -125,7 +127,7 @@ def test_row_numbers_are_time_where_it_is_not_known(duffing, tmp_path, capsys):
     assert coef["x"] == pytest.approx(-K, rel=0.02)
     code, out, _ = run(capsys, "discover", path, *CHANNELS, "--verbose")
     assert code == 0
-    assert "1500 rows, time not known, of run.csv" in out
+    assert "800 rows, time not known, of run.csv" in out
     assert "free run over the held-out rows: normalised" in out
     code, out, said = run(capsys, "discover", path, *CHANNELS, "--physical")
     assert (code, out) == (2, "")
@@ -133,6 +135,7 @@ def test_row_numbers_are_time_where_it_is_not_known(duffing, tmp_path, capsys):
 
 
 def test_a_saved_equation_per_sample_stays_per_sample(duffing, tmp_path, capsys):
+    duffing = duffing.slice(0, 1000)
     x, _, _, u = channels(duffing)
     rows = put(tmp_path / "rows.csv", "x,u", x, u)
     timed = put(tmp_path / "timed.csv", "t,x,u", duffing.time, x, u)
@@ -209,7 +212,7 @@ def test_lines_are_passed_over(duffing, tmp_path, capsys):
     code, _, said = run(capsys, "discover", path, *CHANNELS)
     assert code == 2
     assert len(said) == 1
-    assert discovered(capsys, path, "--skip", "3")[2]["data"]["n"] == 1500
+    assert discovered(capsys, path, "--skip", "3", "--smooth", "none")[2]["data"]["n"] == 1500
     # lines are counted in the file
     path.write_text(f"1,2\n3,4,5\n6,7,8,9,10\n{table}".replace(f"{x[0]:.18e}", "one"))
     code, _, said = run(capsys, "discover", path, *CHANNELS, "--skip", "3")
@@ -224,6 +227,7 @@ def test_lines_are_passed_over(duffing, tmp_path, capsys):
 
 
 def test_standard_input(duffing, tmp_path, capsys, monkeypatch):
+    duffing = duffing.slice(0, 500)
     x, v, a, u = channels(duffing)
     path = put(tmp_path / "run.csv", "t,x,v,a,u", duffing.time, x, v, a, u)
 
@@ -299,7 +303,7 @@ def test_units_of_files_that_are_joined(duffing, tmp_path, capsys):
     x, v, a, u = channels(duffing)
     first = put(tmp_path / "motion.csv", "t,x,v,a", duffing.time, 1e3 * x, v, a)
     second = put(tmp_path / "force.csv", "t,u", duffing.time, u)
-    arguments = ["discover", first, second, "--join", *CHANNELS, "--json"]
+    arguments = ["discover", first, second, "--join", *CHANNELS, "--smooth", "none", "--json"]
     code, out, _ = run(capsys, *arguments, "--units", "x=mm,u=N")
     assert code == 0
     assert json.loads(out)["data"]["units"] == {"x": "mm", "u": "N"}

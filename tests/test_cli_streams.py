@@ -35,7 +35,7 @@ def arguments(record):
     ("streams", "code", "err"),
     [
         (">&-", 1, CLOSED),
-        (">&- 2>&-", 1, ""),
+        pytest.param(">&- 2>&-", 1, "", marks=pytest.mark.slow),
         ("<&- >&- 2>&-", 1, ""),
         (">/dev/full", 1, "bayeq: error: the result cannot be written: No space left on device\n"),
     ],
@@ -45,7 +45,7 @@ def test_a_result_that_cannot_be_printed_is_an_error_in_one_line(streams, code, 
         assert bayeq(*command, streams=streams) == (code, "", err)
 
 
-@pytest.mark.parametrize("streams", ["2>&-", "<&- 2>&-", "2>/dev/full"])
+@pytest.mark.parametrize("streams", [pytest.param("2>&-", marks=pytest.mark.slow), "<&- 2>&-", "2>/dev/full"])
 def test_without_standard_error_the_result_is_printed(record, streams):
     code, out, _ = bayeq(*arguments(record), streams=streams)
     assert code == 0
@@ -53,7 +53,7 @@ def test_without_standard_error_the_result_is_printed(record, streams):
     assert bayeq("discover", "absent.csv", "--disp", "x", streams=streams) == (2, "", "")
 
 
-@pytest.mark.parametrize("streams", [">&-", ">&- 2>&-"])
+@pytest.mark.parametrize("streams", [pytest.param(">&-", marks=pytest.mark.slow), ">&- 2>&-"])
 def test_what_prints_nothing_needs_no_standard_output(record, tmp_path, streams):
     file = tmp_path / "run.csv"
     assert bayeq("simulate", "linear", "-o", file, "--n", "300", streams=streams)[0] == 0

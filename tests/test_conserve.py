@@ -124,7 +124,7 @@ def test_the_posterior_of_coefficients_is_that_of_flows() -> None:
 
 def test_an_epidemic_is_found_as_its_flows_and_balances_to_the_last_digit() -> None:
     record = sir(7)
-    eq = found(record)
+    eq = found(record, dictionary="S, I, R, S*I, S*R, I*R")
     assert {one.target: set(one.shown) for one in eq} == {"dS": {"S*I"}, "dI": {"S*I", "I"}, "dR": {"I"}}
     dS, dI, dR = (one.shown_coef for one in eq)
     assert dS["S*I"] == -dI["S*I"] == pytest.approx(-1.0, rel=0.03)

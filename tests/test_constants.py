@@ -293,7 +293,7 @@ def test_what_follows_an_answer_keeps_its_constants(answer, record):
 
 
 def test_the_value_is_that_of_least_squares_of_a_run():
-    n, fs = 300, 100.0
+    n, fs = 200, 100.0
     record = friction(n=n, noise=0.0)
     t = np.arange(n) / fs
 
@@ -304,7 +304,7 @@ def test_the_value_is_that_of_least_squares_of_a_run():
         )  # fmt: skip
         return np.concatenate([(x - record["x"]) / record["x"].std(), (v - record["v"]) / record["v"].std()])
 
-    slow = least_squares(left, [-90.0, -1.0, 7.0, -2.0, 0.3], x_scale=[90.0, 1.0, 7.0, 2.0, 0.3]).x
+    slow = least_squares(left, [-95.0, -0.7, 7.5, -2.5, 0.2], x_scale=[90.0, 1.0, 7.0, 2.0, 0.3]).x
     eq = found(record, "x, v, u, tanh(v/{v0})", holdout=0.0).equations[0]
     assert len(t) == record.n
     assert slow[4] == pytest.approx(0.15, rel=1e-4)
@@ -340,7 +340,7 @@ def test_coarsening_widens_the_interval_of_the_constant(record, answer):
 
 
 def test_either_or_takes_the_true_form_and_says_how_sure(record):
-    eqs = found(record, "x, v, u, tanh(v/{v0}) | atan(v/{v1}) | sign(v)", holdout=0.0)
+    eqs = found(record.slice(0, 300), "x, v, u, tanh(v/{v0}) | atan(v/{v1}) | sign(v)", holdout=0.0)
     eq = eqs.equations[0]
     assert set(eq.shown) == set(FRICTION)
     (form,) = eq.forms.values()
@@ -359,6 +359,7 @@ def test_none_in_the_record():
     assert "{v0}" not in "".join(line for line in str(eqs).splitlines() if line.strip(" |").startswith("{"))
 
 
+@pytest.mark.slow  # other parameters than those of the kinetics below
 def test_first_order_kinetics():
     def inflow(t):
         return 0.5 + 0.2 * np.sin(0.9 * t) + 0.15 * np.sin(2.3 * t + 1.0)
@@ -446,13 +447,14 @@ def test_a_gap_and_a_constant_of_two_terms():
 
 
 def test_several_records_and_a_dictionary_by_its_equation():
-    records = [friction(n=300, seed=1), friction(n=300, seed=2)]
+    records = [friction(n=200, seed=1), friction(n=200, seed=2)]
     eqs = found(records, {"a": ["x", "v", "u", "tanh(v/{v0})"]}, holdout=0.0)
     assert set(eqs.equations[0].shown) == set(FRICTION)
     assert eqs.equations[0].constants[0].value == pytest.approx(0.15, abs=0.02)
 
 
 def test_constraints_name_terms_with_constants(record):
+    record = record.slice(0, 300)
     eqs = found(record, "x, v, u, tanh(v/{v0})", constraints="a: tanh(v/{v0}) <= 0", holdout=0.0)
     assert set(eqs.equations[0].shown) == set(FRICTION)
     with pytest.raises(InputError, match=r"\{v0\} is a constant inside a term: write its range there"):
@@ -482,7 +484,7 @@ def test_files_read_in_pieces_refuse_in_one_line(record, tmp_path):
 
 def test_a_batch_has_a_line_for_each_constant(tmp_path):
     for k, v0 in enumerate((0.1, 0.2)):
-        bq.write(friction(v0, n=400, seed=k), tmp_path / f"r{k}.csv")
+        bq.write(friction(v0, n=250, seed=k), tmp_path / f"r{k}.csv")
     options = {"chains": "x:v:a", "inputs": ["u"], "dictionary": "x, v, u, tanh(v/{v0: 0.02..2})", "holdout": 0.0}
     batch = bq.batch(sorted(map(str, tmp_path.glob("r*.csv"))), store=tmp_path / "b.db", jobs=1, **options)
     rows = batch.table().query("term == '{v0}'")

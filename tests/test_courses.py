@@ -23,7 +23,7 @@ from bayeq.states import Roles, estimate_motion
     [
         pytest.param("straight", 0.003, "linear", marks=pytest.mark.slow),  # as below
         ("held", 0.003, "hold"),
-        ("taps", 0.02, None),
+        pytest.param("taps", 0.02, None, marks=pytest.mark.slow),  # between its samples as forces of other tests
         pytest.param("blows", 0.0, None, marks=pytest.mark.slow),
     ],
 )
@@ -41,15 +41,17 @@ def test_an_exact_law_is_found_whatever_its_force_does(kind, noise, course):
     assert found.kappa[0] < 0.01
     if course is not None:
         assert found.task.layout.courses == (course,)
+        assert eq.data.interpolation == {"u": course}
+        assert f"u between samples: {'held' if course == 'hold' else 'straight lines'}" in str(eq)
     p = eq[0].posterior
     for name, value in truth["a"].items():
         j = p.names.index(name)
         assert abs(p.coef[j] - value) < 5.0 * p.sd[j]
 
 
-@pytest.mark.parametrize("kind", ["hold", "linear"])
+@pytest.mark.parametrize("kind", [pytest.param("hold", marks=pytest.mark.slow), "linear"])
 def test_runs_are_driven_by_inputs_as_they_were_found(kind, tmp_path):
-    record, unseen = commanded(1, kind).slice(0, 800), commanded(2, kind).slice(0, 1200)
+    record, unseen = commanded(1, kind).slice(0, 500), commanded(2, kind).slice(0, 1200)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", BayeqWarning)
         eq = bq.discover(record, chains="x:v:a", inputs=["u"], dictionary="x, v, x**3, u, x**2, x*v, v*abs(v)")
@@ -59,17 +61,18 @@ def test_runs_are_driven_by_inputs_as_they_were_found(kind, tmp_path):
         assert max(eq.scores.free_run.values()) < 0.04
         eq.save(tmp_path / "eq.json")
         again = bq.load(tmp_path / "eq.json")
-        for one in (eq, again):
-            assert max(one.score(unseen, start=0).free_run.values()) < 0.04
-            assert one.simulate(unseen, draws=0).nrmse["x"] < 0.04
-            assert one.simulate(unseen, draws=0, interpolation="cubic").nrmse["x"] > 0.1
-            for name in ("x", "v", "a"):  # the smoother alone takes the noise of v for motion that jumps
-                assert one.data.noise_sd[name] == pytest.approx(0.01 * unseen[name].std(), rel=0.2)
-            applied = apply_to(one, [unseen])
-            assert min(error.inside for error in applied.free_run.values()) > 0.9
-            assert max(applied.windows.values()) < 0.04
-            refined = one.refine(record).refined  # None where its runs are no better
-            assert refined is None or refined.interpolation == kind
+        assert again.to_dict() == eq.to_dict()
+        assert eq.simulate(unseen, draws=0).nrmse["x"] < 0.04
+        assert max(again.score(unseen, start=0).free_run.values()) < 0.04
+        assert again.simulate(unseen, draws=0).nrmse["x"] < 0.04
+        assert again.simulate(unseen, draws=0, interpolation="cubic").nrmse["x"] > 0.1
+        for name in ("x", "v", "a"):  # the smoother alone takes the noise of v for motion that jumps
+            assert again.data.noise_sd[name] == pytest.approx(0.01 * unseen[name].std(), rel=0.2)
+        applied = apply_to(again, [unseen])
+        assert min(error.inside for error in applied.free_run.values()) > 0.9
+        assert max(applied.windows.values()) < 0.04
+        refined = again.refine(record).refined  # None where its runs are no better
+        assert refined is None or refined.interpolation == kind
     assert eq.to_dict()["data"]["interpolation"] == {"u": kind}
     assert f"u between samples: {'held' if kind == 'hold' else 'straight lines'}" in str(eq)
 
@@ -97,9 +100,10 @@ def test_a_force_that_is_smaller_than_the_noise_of_the_input_is_none():
     # noise of u alone: by the model of its course it is as well a force
     record, truth = draw_record("straight", (0.0, 0.0), 4)
     u = record["u"] + 0.003 * record["u"].std() * np.random.default_rng(3).standard_normal(record.n)
+    few = [*truth["a"], "x**2", "x*v", "v*abs(v)", "x**2*v"]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", BayeqWarning)
-        eq = bq.discover(record.with_channels({"u": u}), chains="x:v:a", inputs=["u"])
+        eq = bq.discover(record.with_channels({"u": u}), chains="x:v:a", inputs=["u"], dictionary=few)
     assert set(eq[0].included) == set(truth["a"])
     assert eq[0].fit.regression.record.adequacy.lacks(0) is None
 

@@ -45,7 +45,7 @@ def test_noise_free_motion_gives_the_law_to_many_digits():
 @cache
 def in_plain_units(noisy, smooth):
     """A record, and the answer that it must give in other units too."""
-    rec = bq.simulate("duffing", n=600, seed=5, noise=0.03 if noisy else {"a": 0.02, "x": 0.005})
+    rec = bq.simulate("duffing", n=400, seed=5, noise=0.03 if noisy else {"a": 0.02, "x": 0.005})
     return rec, quietly(rec, **OSCILLATOR, smooth=smooth, dictionary=TERMS)
 
 
@@ -84,7 +84,7 @@ def eval_unit(term, scale):
     return out
 
 
-@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3, 4))])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3, 4))])
 def test_without_noise_rounding_is_not_fitted(seed):
     rec = bq.simulate("lorenz", seed=seed, noise=0.0, perturb=0.1)
     full = bq.Record.from_arrays({**rec.channels, **{k: v for k, v in rec.truth.clean.items() if k[0] == "d"}}, fs=100)
@@ -107,10 +107,10 @@ def test_first_order_systems_and_several_targets():
 
 
 def test_several_records_are_used_together():
-    parts = [bq.simulate("duffing", n=1000, seed=seed) for seed in range(3)]
+    parts = [bq.simulate("duffing", n=500, seed=seed) for seed in range(3)]
     eq = quietly(parts, **OSCILLATOR)
     assert set(eq[0].included) == TRUE["duffing"]
-    assert (eq.data.n, eq.data.n_train, eq.data.n_held_out) == (3000, 2400, 600)
+    assert (eq.data.n, eq.data.n_train, eq.data.n_held_out) == (1500, 1200, 300)
 
 
 def test_held_out_rows_are_the_last_and_not_used():

@@ -27,8 +27,12 @@ ELSEWHERE = {
 # Pages of many discoveries, whose questions other tests ask of shorter records.
 LONG = {
     "docs/batch.md",
+    "docs/commands.md",
     "docs/faq.md",
+    "docs/answer.md",
+    "docs/arviz.md",
     "docs/laws.md",
+    "docs/matlab.md",
     "docs/tutorials/channels.md",
     "docs/tutorials/engines.md",
     "docs/tutorials/first_equation.md",

@@ -138,13 +138,15 @@ def test_steps_at_zero(tmp_path):
 @pytest.mark.parametrize("name", SYSTEMS)
 @pytest.mark.filterwarnings("ignore")
 def test_every_system(name, tmp_path):
-    record = bq.simulate(name, n=300, seed=1)
+    record, ask = bq.simulate(name, n=300, seed=1), {"smooth": "none"}
     if set("xvau") <= set(record.names):
         terms = ["x", "v", "u", "x**3", "x**2", "v*abs(v)", "sign(v)"]
-        found = bq.discover(record, displacement="x", velocity="v", acceleration="a", force="u", dictionary=terms)
+        found = bq.discover(
+            record, displacement="x", velocity="v", acceleration="a", force="u", dictionary=terms, **ask
+        )
     else:
         chains = list(record.names)
-        found = bq.discover(record, chains=chains, dictionary="polynomial:2")
+        found = bq.discover(record, chains=chains, dictionary="polynomial:2", **ask)
     assert_same(python_function(found), found)
     assert_same(c_function(found, tmp_path), found)
     vectors = found.to_callable()

@@ -49,7 +49,7 @@ def law(eq, time, inputs=None):
     return lambda t, s: eq.rhs(t, s, inputs(t))
 
 
-@pytest.mark.parametrize("kind", ["cubic", "linear"])
+@pytest.mark.parametrize("kind", ["cubic", pytest.param("linear", marks=pytest.mark.slow)])
 def test_the_free_run_agrees_with_an_adaptive_integrator(kind, record, found):
     first = {name: float(record[name][100]) for name in "xv"}
     run = found.simulate(record, draws=0, start=100, rows=100, interpolation=kind, initial=first)

@@ -32,7 +32,7 @@ def quiet():
 def test_short_run(name, tmp_path, quiet):
     if name in NEEDS:
         pytest.importorskip(NEEDS[name], reason=f"needs {NEEDS[name]}, pip install 'bayeq[files,parquet]'")
-    counts = run_own(name, 300, tmp_path, seconds=1.0)
+    counts = run_own(name, 150, tmp_path, seconds=0.5)
     assert counts["own"] > 0
     found = [path.read_text() for path in tmp_path.glob("*.txt")]
     assert not found, found[0]

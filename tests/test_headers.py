@@ -3,41 +3,48 @@
 from __future__ import annotations
 
 from collections import Counter
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 
 import bayeq as bq
 from tests.headers import FRESH, TUNED
 
-ALL = (*TUNED, *FRESH)
+ALL = {headers.name: headers for headers in (*TUNED, *FRESH)}
 
 
-@pytest.fixture(scope="module")
-def verdicts(tmp_path_factory):
-    """What is thought of each proposal, by the name of its headers."""
-    folder = tmp_path_factory.mktemp("headers")
-    out = {}
-    for k, headers in enumerate(ALL):
-        path = folder / f"{k}.csv"
-        path.write_text(headers.text(), encoding="utf-8")
-        out[headers.name] = headers.judge(bq.info(path))
-    return out
+@cache
+def verdict_on(name):
+    """What is thought of a proposal, by the name of its headers."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "run.csv"
+        path.write_text(ALL[name].text(), encoding="utf-8")
+        return ALL[name].judge(bq.info(path))
 
 
-def test_no_proposal_is_wrong(verdicts):
+# The fresh ones, which were harder, or all.
+HEADERS = pytest.mark.statistical(short=len(FRESH), full=len(ALL))
+
+
+@HEADERS
+def test_no_proposal_is_wrong(number):
+    verdicts = {name: verdict_on(name) for name in list(ALL)[-number:]}
     assert {name: verdict for name, verdict in verdicts.items() if verdict.startswith("wrong")} == {}
 
 
-def test_of_forty_at_least_38_are_right_or_ask(verdicts):
-    assert len(verdicts) == len(ALL) == 40
-    counts = Counter(verdict.split(":")[0] for verdict in verdicts.values())
-    assert counts["right"] + counts["asks"] >= 38
-    assert counts["right"] >= 36
+@HEADERS
+def test_of_forty_at_least_38_are_right_or_ask(number):
+    assert len(ALL) == 40
+    counts = Counter(verdict_on(name).split(":")[0] for name in list(ALL)[-number:])
+    assert counts["right"] + counts["asks"] >= 38 / 40 * number
+    assert counts["right"] >= 36 / 40 * number
 
 
 @pytest.mark.parametrize(
     "headers",
-    [*(pytest.param(one, marks=pytest.mark.slow) for one in TUNED), *FRESH],
+    [*(pytest.param(one, marks=pytest.mark.slow) for one in (*TUNED, *FRESH[10:])), *FRESH[:10]],
     ids=lambda headers: headers.name,
 )
 def test_without_names_nothing_is_wrong(headers, tmp_path):

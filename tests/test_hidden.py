@@ -24,7 +24,7 @@ TAU, TRUE = 0.05, {"x": -100.0, "dx": -0.8, "f": 8.0, "x**3": -300.0}
 TERMS = {"ddx": "x, dx, f, x**2, x**3, dx*abs(dx), u"}
 
 
-def actuator(seed: int, tau: float = TAU, rows: int = 1500) -> bq.Record:
+def actuator(seed: int, tau: float = TAU, rows: int = 900) -> bq.Record:
     """A Duffing oscillator behind an actuator of first order; displacement and command with 2 % of noise."""
     rng = np.random.default_rng(seed)
     t = np.arange(rows) * 0.005

@@ -19,7 +19,7 @@ HYSTERESIS = "v, r, abs(v)*r, v*abs(r), x, v**3"
 TRUE = {"a": {"x": -K, "v": -C, "u": 15.0}, "dr": {"v": -ALPHA, "abs(v)*r": -BETA, "v*abs(r)": GAMMA}}
 
 
-def oscillator(seed: int, kind: str = "hysteresis", rows: int = 1000, noise: float = 0.01) -> bq.Record:
+def oscillator(seed: int, kind: str = "hysteresis", rows: int = 500, noise: float = 0.01) -> bq.Record:
     """Bouc and Wen's oscillator, one with Maxwell's element, or one with a cubic spring and nothing hidden."""
     rng = np.random.default_rng(seed)
     t, w, phase = np.arange(rows) * 0.01, rng.uniform(1.0, 20.0, 12), rng.uniform(0.0, 2.0 * np.pi, 12)
@@ -85,7 +85,7 @@ def test_a_state_that_is_not_needed_is_left_out():
 
 def test_forms_that_say_the_same_are_told():
     """With v, x, u and r alone every sum of r and these obeys a law of the same terms."""
-    eq = found(oscillator(3, "maxwell", noise=0.02), hidden="v, r, x, u")
+    eq = found(oscillator(3, "maxwell", rows=700, noise=0.02), hidden="v, r, x, u")
     assert eq.verdict.kind == "not determined"
     assert eq.hidden[0].log_odds_without < -100.0
 
@@ -149,7 +149,7 @@ def test_saved_answers_run_as_before(tmp_path):
 
 
 def test_on_the_command_line(tmp_path, capsys):
-    bq.write(oscillator(1, rows=600), tmp_path / "run.csv")
+    bq.write(oscillator(1, rows=300), tmp_path / "run.csv")
     command = ["discover", str(tmp_path / "run.csv"), "--chain", "x:v:a", "--chain", "~r:", "--input", "u", "--json"]
     assert main([*command, "--dictionary", "a: x, v, u, r; dr: v, abs(v)*r, v*abs(r)"]) == 0
     read = json.loads(capsys.readouterr().out)

@@ -89,7 +89,9 @@ def test_no_equation_has_its_own_highest_derivative() -> None:
 
 @pytest.fixture(scope="module")
 def pendulum() -> tuple[bq.Equations, dict[str, dict[str, float]]]:
-    record, truth = double_pendulum(0.01, 7001)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("studies.implicit.ROWS", 800)
+        record, truth = double_pendulum(0.01, 7001)
     return bq.discover(record, **SYSTEMS["double pendulum"][1]), truth
 
 
@@ -131,7 +133,8 @@ def test_exports_and_saved_files_solve_for_the_accelerations(
     np.testing.assert_allclose(again.to_callable()(0.0, y), expected, rtol=1e-9)
 
 
-def test_a_cart_with_a_pole_is_found_under_a_force() -> None:
+def test_a_cart_with_a_pole_is_found_under_a_force(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("studies.implicit.ROWS", 800)
     record, truth = cart_pole(0.01, 7000)
     eqs = bq.discover(record, **SYSTEMS["cart-pole"][1])
     assert {eq.target: set(eq.shown) for eq in eqs} == {target: set(own) for target, own in truth.items()}
@@ -139,7 +142,7 @@ def test_a_cart_with_a_pole_is_found_under_a_force() -> None:
 
 def test_dry_friction_beside_another_s_acceleration() -> None:
     """Whether friction holds a body depends on what the other's acceleration does to it."""
-    rng, t = np.random.default_rng(3), np.arange(1000) * 0.01
+    rng, t = np.random.default_rng(3), np.arange(600) * 0.01
     w, phase = rng.uniform(2.0, 15.0, 8), rng.uniform(0.0, 6.0, 8)
     mass = np.linalg.inv([[1.0, -0.4], [-0.5, 1.0]])
 
@@ -156,7 +159,7 @@ def test_dry_friction_beside_another_s_acceleration() -> None:
 
     states = solve_ivp(ordered, (0.0, t[-1]), [0.1, 0.0, 0.1, 0.0], t_eval=t, rtol=1e-6, atol=1e-8, method="LSODA").y
     channels = {"x": states[0], "y": states[2], "u": push(t)}
-    noisy = {name: one + 0.005 * one.std() * rng.standard_normal(1000) for name, one in channels.items()}
+    noisy = {name: one + 0.005 * one.std() * rng.standard_normal(600) for name, one in channels.items()}
     record = bq.Record.from_arrays(noisy, time=t)
     dictionary = {"ddx": "x, dx, u, sign(dx), ddy", "ddy": "y, dy, u, sign(dy), ddx"}
     eq = bq.discover(record, chains=["x::", "y::"], inputs=["u"], dictionary=dictionary)

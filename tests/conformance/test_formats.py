@@ -73,7 +73,11 @@ def assert_same(got: Record, wanted: Record) -> None:
 EXTRAS = {"parquet": "pyarrow", "files": "h5py"}
 
 
-@pytest.fixture(params=sorted(writers()))
+# Suffixes that are others by another name.
+OTHERS = (".txt", ".dat", ".asc", ".pq", ".hdf5", ".hdf")
+
+
+@pytest.fixture(params=[pytest.param(one, marks=[pytest.mark.slow] * (one in OTHERS)) for one in sorted(writers())])
 def suffix(request: pytest.FixtureRequest) -> str:
     suffix: str = request.param
     if extra := suffixes()[suffix].extra:
