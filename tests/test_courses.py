@@ -121,7 +121,7 @@ def test_a_held_input_behind_a_lag_is_no_further_term():
     for i, value in enumerate(force):
         states[i, 3] = value
         states[i + 1] = step @ states[i]
-    x, v, f, u = states[:-1].T
+    x, v, _, u = states[:-1].T
     measured = {name: s + 0.01 * s.std() * rng.standard_normal(800) for name, s in {"x": x, "v": v}.items()}
     record = bq.Record.from_arrays({**measured, "u": u}, fs=500.0)
     eq = bq.discover(record, chains="x:v:", inputs=["u"], dictionary="x, v, x**3, f, u", law="df = (u - f)/{tau}")
