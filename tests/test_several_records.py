@@ -22,7 +22,7 @@ def forced_and_decay(seed):
 
 
 @pytest.mark.filterwarnings("ignore:.*is exactly 0 between blows")
-@pytest.mark.statistical(short=2, full=6)
+@pytest.mark.statistical(short=1, full=6)
 def test_a_free_decay_joins_a_forced_record(number):
     true = {"x": -1000.0, "v": -2.0, "x**3": -1e5, "u": 1.0}
     errors = []
