@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from dataclasses import replace
 from functools import cache
@@ -74,6 +75,7 @@ def test_a_force_white_to_half_the_sampling_rate():
     assert np.sqrt(levels.channels[-1] / levels.scales.channels[-1]) == pytest.approx(0.05, rel=0.2)
 
 
+@pytest.mark.slow  # of the Duffing oscillator: statistical/test_intervals
 @pytest.mark.statistical(short=1, full=3)
 def test_intervals_of_the_paper_s_oscillators(number):
     z = []
@@ -265,6 +267,7 @@ def test_a_long_record_from_stretches_is_the_whole_record():
 # --- jumps -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow  # a spring with a step is found: below
 def test_a_force_that_jumps_with_the_displacement():
     # twice 22 at every passage through zero, beside an acceleration of standard deviation 77
     law = {"x": -1000.0, "u": 1.0, "sign(x)": 22.0, "v**4": 0.019}
@@ -399,10 +402,10 @@ def test_samples_beside_a_jump_are_no_noise_and_no_discrepancy():
     # a spring with a step of 47 m/s^2 at zero: by how much samples beside it may err was once not in the model, and
     # taken for cubic and quintic stiffness of probability 1 and for noise
     def rate(x, force):
-        return -1000.0 * x - 47.0 * np.sign(x) + force
+        return -1000.0 * x - math.copysign(47.0, x) + force
 
     rng, n, h, fine = np.random.default_rng(9), 3000, 1e-3, 20
-    force = bq.simulate("linear", n=n, fs=1000.0, noise=0.0, seed=9)["u"]
+    force = bq.simulate("linear", n=n, fs=1000.0, noise=0.0, seed=9)["u"].tolist()
     x, v, states, rates = 0.01, 0.0, np.empty((n, 2)), np.empty(n)
     for k in range(n):
         states[k], rates[k] = (x, v), rate(x, force[k])
@@ -411,9 +414,10 @@ def test_samples_beside_a_jump_are_no_noise_and_no_discrepancy():
             x += h / fine * v
     noisy = {
         name: values + 0.05 * values.std() * rng.normal(size=n)
-        for name, values in {"x": states[:, 0], "v": states[:, 1], "a": rates, "u": force}.items()
+        for name, values in {"x": states[:, 0], "v": states[:, 1], "a": rates, "u": np.array(force)}.items()
     }
-    eq = quietly(bq.Record.from_arrays(noisy, fs=1000.0), **OSCILLATOR, holdout=0.0)
+    few = "x, v, x**3, x**5, x*v, v*abs(v), sign(x), u"
+    eq = quietly(bq.Record.from_arrays(noisy, fs=1000.0), **OSCILLATOR, dictionary=few, holdout=0.0)
     assert set(eq[0].included) == {"x", "sign(x)", "u"}
     assert eq[0].coef["sign(x)"] == pytest.approx(-47.0, rel=0.04)
     levels = eq[0].fit.regression.record.fitted.state.levels
