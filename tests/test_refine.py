@@ -113,7 +113,8 @@ def test_independent_noise_passes_and_noise_with_a_memory_does_not(decaying):
     assert np.mean(correlated) == pytest.approx(9.0, rel=0.35)
 
 
-@pytest.mark.parametrize("case", [pytest.param(3, marks=pytest.mark.slow), 4])  # of the third also below
+@pytest.mark.slow  # of the third also below
+@pytest.mark.parametrize("case", [3, 4])
 def test_of_noise_in_the_force_what_runs_better_is_kept(case):
     # output error takes the force as exact: coefficients of it are worse, and are known to be less sure
     found, _ = draw_record("duffing", CASES[case], 0)

@@ -240,7 +240,8 @@ def weak():
 
 
 @pytest.mark.parametrize(
-    "options", [{}, {"smooth": "none"}, pytest.param({"constraints": ["u == 1"]}, marks=pytest.mark.slow)]
+    "options",
+    [{"smooth": "none"}, *(pytest.param(one, marks=pytest.mark.slow) for one in ({}, {"constraints": ["u == 1"]}))],
 )
 def test_a_small_term_of_an_exact_law_is_shown_unless_the_law_may_lack_as_much(weak, options):
     one = discover(weak, **OSCILLATOR, **options)[0]

@@ -51,7 +51,7 @@ def test_what_was_found_predicts_a_free_decay(smooth):
 # in so short a record other forms of damping keep a PIP of some 0.1, which is warned about
 @pytest.mark.filterwarnings("ignore::bayeq.errors.AmbiguityWarning")
 @pytest.mark.filterwarnings("ignore::bayeq.errors.CorrelatedResidualsWarning")
-@pytest.mark.parametrize("level", [0.0, 0.05])
+@pytest.mark.parametrize("level", [pytest.param(0.0, marks=pytest.mark.slow), 0.05])
 @pytest.mark.parametrize(
     "dictionary", ["x, dx, x**2, x**3, dx**3, u", pytest.param("oscillator", marks=pytest.mark.slow)]
 )

@@ -565,7 +565,8 @@ def test_long_records_in_memory_have_the_likelihood_too(record, monkeypatch):
     assert found[0].included == ("x", "v", "x**3", "u")
 
 
-@pytest.mark.parametrize("where", ["in memory", "in a file"])
+# all rows of one in memory: test_relearn
+@pytest.mark.parametrize("where", [pytest.param("in memory", marks=pytest.mark.slow), "in a file"])
 def test_long_records_with_what_takes_whole_records_are_some_stretches(record, where, tmp_path, monkeypatch):
     monkeypatch.setattr("bayeq.discovery.entry.MOST_ROWS", 5000)
     monkeypatch.setattr("bayeq.records.stream.LARGE", 5000)

@@ -20,8 +20,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
     ("system", "rate"),
     [
         ("duffing", 0.96),
-        ("coulomb", 0.99),
-        *(pytest.param(system, 0.99, marks=pytest.mark.slow) for system in ("linear", "quadratic")),
+        *(pytest.param(system, 0.99, marks=pytest.mark.slow) for system in ("coulomb", "linear", "quadratic")),
     ],
 )
 def test_the_paper_s_oscillators_at_five_per_cent_noise(system, rate, number):
