@@ -145,7 +145,10 @@ def test_kernels_that_kernels_call_are_part_of_these(tmp_path):
     (tmp_path / "inner.py").write_text("\n".join(lines[: lines.index("try:")]))
     for file in tmp_path.rglob("*.nb?"):
         file.unlink()
-    subprocess.run([sys.executable, "inner.py"], cwd=tmp_path, check=True, capture_output=True)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(tmp_path)
+        patch.delitem(sys.modules, "inner", raising=False)
+        import_module("inner")
     (code,) = tmp_path.rglob("*.nbc")  # machine code of one kernel, that Python calls
     assert code.name.startswith("inner.both")
 

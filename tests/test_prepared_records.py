@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -54,6 +55,13 @@ def eq(record):
 def told(record):
     """What is found where the noise of x is given."""
     return discover(record, noise={"x": 0.05 * record["x"].std()})
+
+
+@pytest.fixture(scope="module")
+def quiet():
+    """A record with little noise, and what is found."""
+    record = bq.simulate("duffing", n=600, fs=400, seed=1, noise=0.001)
+    return record, discover(record)
 
 
 @pytest.fixture(scope="module")
@@ -139,11 +147,11 @@ def test_missing_samples_are_bridged_and_reported(call, eq, record):
 
 
 @pytest.mark.parametrize("timed", [True, False])
-def test_predictions_have_a_row_for_each_of_the_record(timed):
-    whole = bq.simulate("duffing", n=600, fs=400, seed=1, noise=0.001)
+def test_predictions_have_a_row_for_each_of_the_record(timed, quiet):
+    whole, found = quiet
     if not timed:
         whole = bq.Record.from_arrays({name: whole[name] for name in "xvau"})
-    found = discover(whole)
+        found = discover(whole)
     lacking = changed(whole, x={50: np.nan, 51: np.nan})
     out, said = quietly(found.predict, lacking)
     assert said == ["x: 2 samples are missing (rows 51 to 52: 0.33 %); check the acquisition"]
@@ -188,8 +196,9 @@ def test_given_noise_weighs_channels_of_a_refinement(record, refined, told):
     assert known[0].coef["x"] == pytest.approx(free[0].coef["x"], abs=0.5 * free[0].posterior.sd[0])
 
 
-def test_noise_that_is_given_far_too_small_is_not_believed(record, refined):
-    found = discover(record, noise={"x": 0.01 * record["x"].std()})
+def test_noise_that_is_given_far_too_small_is_not_believed(record, refined, told):
+    sensors = replace(told.data.sensors, noise={"x": 0.01 * record["x"].std()})
+    found = replace(told, data=replace(told.data, sensors=sensors))
     with pytest.warns(
         DataWarning, match=r"x: free runs leave [45]\S* times the noise that was given: .*check"
     ) as caught:
@@ -198,10 +207,10 @@ def test_noise_that_is_given_far_too_small_is_not_believed(record, refined):
     np.testing.assert_allclose(after[0].posterior.sd, refined[0].posterior.sd, rtol=0.01)
 
 
-def test_given_noise_reaches_the_states_of_predictions():
-    record = bq.simulate("duffing", n=600, fs=400, seed=1, noise=0.001)
+def test_given_noise_reaches_the_states_of_predictions(quiet):
+    record, untold = quiet
     noise = {"x": 0.3 * record["x"].std()}
-    told, untold = discover(record, noise=noise), discover(record)
+    told = discover(record, noise=noise)
     assert told.data.sensors.noise == noise
     moved = [
         np.std(bq.equation.along.rows_of_record(record, roles, "auto", sensors)["x"] - record["x"])
