@@ -84,13 +84,13 @@ HARD = (
     "a wrong sign",
 )
 
-# What these are warned of is among what others are, or read by tests of engines, of several and of prepared records.
+# Their warnings are among those of others, or are read by tests of engines, of several and of prepared records.
 SEEN = ("twice", "gibbs", "vb", "spikes", "a gap")
 
 
 @cache
 def found(name: str) -> tuple[bq.Equations, list[BayeqWarning]]:
-    """The answer, and what was warned of."""
+    """The answer, and its warnings."""
     record, options = AWKWARD[name]()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
