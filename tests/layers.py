@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import ast
 import sys
-from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 SOURCE = Path(__file__).resolve().parents[1] / "src" / "bayeq"
@@ -24,8 +24,10 @@ def room(path: Path, source: Path = SOURCE) -> str:
     return path.relative_to(source).parts[0].removesuffix(".py")
 
 
-def imported(path: Path, source: Path = SOURCE) -> Iterator[Path]:
+@cache
+def imported(path: Path, source: Path = SOURCE) -> tuple[Path, ...]:
     """Files of the package that a file imports, at its top, in a function or for the type checker."""
+    out = []
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
@@ -35,12 +37,14 @@ def imported(path: Path, source: Path = SOURCE) -> Iterator[Path]:
             continue
         for name in names:
             if name.split(".")[0] == source.name:
-                found = _file(source, name.split(".")[1:])
+                found = _file(source, tuple(name.split(".")[1:]))
                 if found is not None and found != path:
-                    yield found
+                    out.append(found)
+    return tuple(out)
 
 
-def _file(source: Path, parts: list[str]) -> Path | None:
+@cache
+def _file(source: Path, parts: tuple[str, ...]) -> Path | None:
     """The file that a dotted name is in: a module, a package, or a name in one of them."""
     for length in range(len(parts), 0, -1):
         base = source.joinpath(*parts[:length])

@@ -56,7 +56,7 @@ def test_lag_of_a_force_is_learned(late, answer):
 
 def test_without_it_the_damping_is_wrong(late, answer):
     record, truth, _ = late
-    damping = [eq.coefficients()["a"]["v"] for eq in (answer, quietly(record))]
+    damping = [eq.coefficients()["a"]["v"] for eq in (answer, quietly(record, dictionary=list(truth)))]
     told, untold = (abs(found / truth["v"] - 1.0) for found in damping)
     assert told < 0.03
     assert untold > 0.1
@@ -72,7 +72,8 @@ def test_lag_of_a_channel_of_the_motion(seed):
 
 def test_record_without_a_lag_loses_nothing():
     record, truth, _, _ = draw_record("none", "x:v:a", 0.02, 5)
-    asked, plain = quietly(record, lag_sd={"u": SD}), quietly(record)
+    few = ["x", "v", "u", "x**2", "x**3"]
+    asked, plain = quietly(record, lag_sd={"u": SD}, dictionary=few), quietly(record, dictionary=few)
     assert asked[0].included == plain[0].included
     assert set(plain[0].included) == set(truth)
     assert np.allclose(asked[0].posterior.sd, plain[0].posterior.sd, rtol=0.1)

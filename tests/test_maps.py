@@ -249,7 +249,7 @@ def misses(equation: bq.Equation, truth: dict[str, float]) -> dict[str, float]:
     return out
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.01, 0.05])
+@pytest.mark.parametrize("noise", [0.0, pytest.param(0.01, marks=pytest.mark.slow), 0.05])
 @pytest.mark.parametrize(
     ("make", "dictionary", "truth"),
     [

@@ -107,7 +107,7 @@ def test_intervals_agree_with_draws_from_the_mixture(seed):
 
 def test_printed_intervals_cover_where_models_are_in_doubt_and_the_conditional_do_not():
     covered, width = [], []
-    for seed in range(200):
+    for seed in range(120):
         equation = bq.discover(rivals(seed), **RIVALS)[0]
         conditional, printed = equation.shown_ci95[2], equation.printed_ci95[2]
         width.append([np.ptp(conditional), np.ptp(printed)])

@@ -279,7 +279,7 @@ def test_a_length_that_makes_no_sense(eq):
 @pytest.mark.parametrize("smooth", ["auto", "none"])
 def test_known_coefficients_leave_the_errors_what_they_are(smooth, record):
     # u is given, so the regression is of a - u; its errors are still shares of a
-    options = {**OSCILLATOR, "smooth": smooth}
+    options = {**OSCILLATOR, "smooth": smooth, "dictionary": "x, v, x**2, x**3, x*v, v**2, v*abs(v), u"}
     known = discover(record, **options, constraints=["u == 1"])[0]
     free = discover(record, **options)[0]
     path = known.path(4)
@@ -374,10 +374,9 @@ def test_the_path_in_a_file(duffing, tmp_path, capsys):
     assert [int(row["size"]) for row in rows] == list(range(13))
     assert {row["target"] for row in rows} == {"a"}
     assert [row["chosen"] for row in rows].index("True") == 4
-    for suffix, start in (("png", b"\x89PNG"), ("svg", b"<?xml")):
-        figure = tmp_path / f"path.{suffix}"
-        assert main(["discover", *duffing, "--path", str(figure)]) == 0
-        assert figure.read_bytes().startswith(start)
+    figure = tmp_path / "path.png"
+    assert main(["discover", *duffing, "--path", str(figure)]) == 0
+    assert figure.read_bytes().startswith(b"\x89PNG")
     capsys.readouterr()
     for wrong, message in (("path.txt", "is to be written as a table or a figure"), ("no/p.csv", "no directory")):
         assert main(["discover", *duffing, "--path", str(tmp_path / wrong)]) == 2

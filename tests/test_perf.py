@@ -148,6 +148,7 @@ def test_accuracy_by_hand():
     assert both.error == pytest.approx(0.25)
 
 
+@pytest.mark.slow  # that the search misses hardly any model: test_path
 def test_nobody_has_a_better_model(tmp_path):
     steps = []
     counts = count_better(8, 1, steps.append)

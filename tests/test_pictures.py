@@ -14,6 +14,7 @@ from examples.gallery import PICTURES, page
 import bayeq as bq
 import bayeq.errors
 from bayeq import figures
+from bayeq.equation.report.page import Remembering
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.figures.style import style
 
@@ -31,6 +32,12 @@ def record():
 @pytest.fixture(scope="module")
 def eq(record):
     return bq.discover(record, displacement="x", velocity="v", acceleration="a", force="u", dictionary="x, v, x**3, u")
+
+
+@pytest.fixture(scope="module")
+def source(eq):
+    """The answer as a report gives it to pictures, with the runs that these share."""
+    return Remembering(eq)
 
 
 @pytest.fixture(scope="module")
@@ -54,13 +61,13 @@ def drawn(ax, label):
 
 
 @pytest.mark.parametrize("name", figures.__all__)
-def test_axes_are_made_or_taken_returned_and_can_be_written(name, eq, record, tmp_path):
-    made = getattr(figures, name)(eq, record)
+def test_axes_are_made_or_taken_returned_and_can_be_written(name, source, record, tmp_path):
+    made = getattr(figures, name)(source, record)
     axes = made if name in PAIRS else (made,)
     assert len(axes) == (2 if name in PAIRS else 1)
     assert all(ax.get_xlabel() or ax.get_ylabel() or ax.images for ax in axes)
     own = given(name)
-    taken = getattr(figures, name)(eq, record, own)
+    taken = getattr(figures, name)(source, record, own)
     assert list(np.ravel(np.array(taken, dtype=object))) == list(np.ravel(np.array(own, dtype=object)))
     with style():
         np.ravel(np.array(made, dtype=object))[0].figure.savefig(tmp_path / "a.png", dpi=40)
@@ -68,12 +75,12 @@ def test_axes_are_made_or_taken_returned_and_can_be_written(name, eq, record, tm
 
 
 @pytest.mark.parametrize("name", figures.__all__)
-def test_wrong_axes_and_targets_are_refused(name, eq, record):
+def test_wrong_axes_and_targets_are_refused(name, source, record):
     with pytest.raises(InputError, match="ax"):
-        getattr(figures, name)(eq, record, ax="here")
+        getattr(figures, name)(source, record, ax="here")
     options = {"channel": "q"} if name in {"free_run", "spectra", "frequency_response"} else {"target": "q"}
     with pytest.raises(UnknownNameError, match="q"):
-        getattr(figures, name)(eq, record, **({"states": ("x", "q")} if name == "phase_portrait" else options))
+        getattr(figures, name)(source, record, **({"states": ("x", "q")} if name == "phase_portrait" else options))
 
 
 def test_bars_are_the_probabilities(eq):
@@ -187,7 +194,9 @@ def test_spectra_hold_the_power(eq, record):
 
 def test_the_frequency_response_is_that_of_the_oscillator():
     record = bq.simulate("linear", n=5000, seed=2, noise=0.01)
-    eq = bq.discover(record, displacement="x", velocity="v", acceleration="a", force="u", dictionary="x, v, u")
+    eq = bq.discover(
+        record, displacement="x", velocity="v", acceleration="a", force="u", dictionary="x, v, u", smooth="none"
+    )
     upper, lower = figures.frequency_response(eq, record)
     (coherence,) = [ax for ax in upper.figure.axes if ax.get_ylabel() == "coherence"]
     assert np.nanmedian(drawn(coherence, "free run")[1]) > 0.95  # that of a linear system
@@ -237,7 +246,7 @@ def untimed(record):
         warnings.simplefilter("ignore", bq.errors.BayeqWarning)
         eq = bq.discover(record, displacement="x", velocity="v", acceleration="a", force="u", dictionary="x, v, u")
     assert "time is not known" in eq.warnings[0]
-    return eq, record
+    return Remembering(eq), record
 
 
 @pytest.mark.parametrize("name", figures.__all__)

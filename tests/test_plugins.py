@@ -47,23 +47,29 @@ def run(folder, *arguments, cwd=None, code=0):
     return done.stdout, done.stderr
 
 
+def commands(folder, *each, cwd):
+    """Several commands in one process, with a line of two dashes between them."""
+    code = f"from bayeq.cli.app import main\nfor k, words in enumerate({each}):\n    k and print('--')\n"
+    return run(folder, "-c", f"{code}    assert not main(words)", cwd=cwd)
+
+
 def command(folder, *arguments, cwd=None, code=0):
     return run(folder, "-m", "bayeq", *arguments, cwd=cwd, code=code)
 
 
 def test_all_four_work_together_and_can_be_saved(added, tmp_path):
-    command(added, "simulate", "softening", "--seed", "1", "-o", "run.csv", cwd=tmp_path)
+    listed, _ = commands(added, ["simulate", "softening", "--seed", "1", "-o", "run.csv"], ["systems"], cwd=tmp_path)
+    assert "Oscillator with a softening spring" in listed
     frame = pd.read_csv(tmp_path / "run.csv").rename(columns=lambda name: name.split(" ")[0])
     frame.to_json(tmp_path / "run.jsonl", orient="records", lines=True, double_precision=15)
     roles = ("--disp", "x", "--vel", "v", "--acc", "a", "--force", "u")
     options = ("--method", "forward", "--dictionary", "friction + x**3 + x**5", "--save", "eq.json", "--verbose")
-    answer, _ = command(added, "discover", "run.jsonl", *roles, *options, cwd=tmp_path)
+    both, _ = commands(added, ["discover", "run.jsonl", *roles, *options], ["show", "eq.json"], cwd=tmp_path)
+    answer, shown = both.split("\n--\n")
     assert "method: forward" in answer
-    shown, _ = command(added, "show", "eq.json", cwd=tmp_path)
     assert "verdict" in shown
     _, errors = run(tmp_path, "-m", "bayeq", "show", "eq.json", cwd=tmp_path, code=2)
     assert "method: one of 'auto'" in errors
-    assert "Oscillator with a softening spring" in command(added, "systems")[0]
 
 
 @pytest.mark.slow  # those of docs/extending.md are taken in as well: test_extending

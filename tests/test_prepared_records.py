@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -57,6 +58,18 @@ def told(record):
 
 
 @pytest.fixture(scope="module")
+def quiet():
+    """A record with little noise, and what is found."""
+    record = bq.simulate("duffing", n=600, fs=400, seed=1, noise=0.001)
+    return record, discover(record)
+
+
+@pytest.fixture(scope="module")
+def refined(eq, record):
+    return eq.refine(record)
+
+
+@pytest.fixture(scope="module")
 def spiked(record):
     return changed(record, x={300: record["x"][300] + 100.0 * record["x"].std()})
 
@@ -64,9 +77,15 @@ def spiked(record):
 # --- spikes ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.fixture(scope="module")
+def of_spiked(eq, spiked):
+    """What each call returns of the record with a spike, and its warnings."""
+    return {call: quietly(getattr(eq, call), spiked) for call in CALLS}
+
+
 @pytest.mark.parametrize("call", CALLS)
-def test_a_spike_is_left_out_and_reported_once(call, eq, spiked):
-    _, said = quietly(getattr(eq, call), spiked)
+def test_a_spike_is_left_out_and_reported_once(call, of_spiked):
+    _, said = of_spiked[call]
     assert said == ["x: 1 sample left out as spike (row 301: 0.12 %); check the sensor"]
 
 
@@ -77,11 +96,11 @@ def test_what_discover_has_said_is_not_said_again(spiked):
         assert quietly(getattr(found, call), spiked)[1] == []
 
 
-def test_a_spike_changes_neither_coefficients_nor_scores(eq, record, spiked):
+def test_a_spike_changes_neither_coefficients_nor_scores(eq, record, spiked, refined, of_spiked):
     # as measured a spike of 100 sd made the free run err by 96 % instead of 5 %, and nothing was refined
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataWarning)
-        clean, bad = (eq.refine(one) for one in (record, spiked))
+        clean, bad = refined, of_spiked["refine"][0]
         for name, sd in zip(eq[0].included, clean[0].posterior.sd, strict=True):
             assert bad[0].coef[name] == pytest.approx(clean[0].coef[name], abs=0.2 * sd)
         pairs = [eq.score(one, start=0, rows=640) for one in (record, spiked)]
@@ -128,11 +147,11 @@ def test_missing_samples_are_bridged_and_reported(call, eq, record):
 
 
 @pytest.mark.parametrize("timed", [True, False])
-def test_predictions_have_a_row_for_each_of_the_record(timed):
-    whole = bq.simulate("duffing", n=600, fs=400, seed=1, noise=0.001)
+def test_predictions_have_a_row_for_each_of_the_record(timed, quiet):
+    whole, found = quiet
     if not timed:
         whole = bq.Record.from_arrays({name: whole[name] for name in "xvau"})
-    found = discover(whole)
+        found = discover(whole)
     lacking = changed(whole, x={50: np.nan, 51: np.nan})
     out, said = quietly(found.predict, lacking)
     assert said == ["x: 2 samples are missing (rows 51 to 52: 0.33 %); check the acquisition"]
@@ -170,28 +189,28 @@ def test_long_gaps(eq, record):
 # --- given noise -----------------------------------------------------------------------------------------------------
 
 
-def test_given_noise_weighs_channels_of_a_refinement(record, eq, told):
-    free, known = eq.refine(record), told.refine(record)
+def test_given_noise_weighs_channels_of_a_refinement(record, refined, told):
+    free, known = refined, told.refine(record)
     assert known.refined.noise_sd["x"] == 0.05 * record["x"].std()
     assert known.refined.noise_sd["v"] == pytest.approx(free.refined.noise_sd["v"], rel=0.01)
     assert known[0].coef["x"] == pytest.approx(free[0].coef["x"], abs=0.5 * free[0].posterior.sd[0])
 
 
-def test_noise_that_is_given_far_too_small_is_not_believed(record, eq):
-    found = discover(record, noise={"x": 0.01 * record["x"].std()})
+def test_noise_that_is_given_far_too_small_is_not_believed(record, refined, told):
+    sensors = replace(told.data.sensors, noise={"x": 0.01 * record["x"].std()})
+    found = replace(told, data=replace(told.data, sensors=sensors))
     with pytest.warns(
         DataWarning, match=r"x: free runs leave [45]\S* times the noise that was given: .*check"
     ) as caught:
         after = found.refine(record)
     assert after.warnings[-1] == str(caught[0].message)
-    free = eq.refine(record)
-    np.testing.assert_allclose(after[0].posterior.sd, free[0].posterior.sd, rtol=0.01)
+    np.testing.assert_allclose(after[0].posterior.sd, refined[0].posterior.sd, rtol=0.01)
 
 
-def test_given_noise_reaches_the_states_of_predictions():
-    record = bq.simulate("duffing", n=600, fs=400, seed=1, noise=0.001)
+def test_given_noise_reaches_the_states_of_predictions(quiet):
+    record, untold = quiet
     noise = {"x": 0.3 * record["x"].std()}
-    told, untold = discover(record, noise=noise), discover(record)
+    told = discover(record, noise=noise)
     assert told.data.sensors.noise == noise
     moved = [
         np.std(bq.equation.along.rows_of_record(record, roles, "auto", sensors)["x"] - record["x"])

@@ -17,7 +17,7 @@ import pytest
 
 import bayeq as bq
 from bayeq.cli.app import main
-from bayeq.equation.report.page import as_bokeh, repeat_command, samples_hash
+from bayeq.equation.report.page import _wanted, as_bokeh, repeat_command, samples_hash
 from bayeq.errors import InputError, MissingExtraError, UnknownNameError
 from bayeq.expressions import parse
 from bayeq.expressions.symbolic import mathml
@@ -86,11 +86,23 @@ def hostile(tmp_path_factory, record):
     return file, out
 
 
+def without_pictures(patch):
+    """Those of `hostile` are looked at."""
+    patch.setattr("bayeq.equation.report.page.pictures", lambda *_: ([], []))
+
+
 @pytest.fixture(scope="module")
 def page(eq, record, tmp_path_factory):
     out = tmp_path_factory.mktemp("report") / "out.html"
-    eq.report(out, record)
+    with pytest.MonkeyPatch.context() as patch:
+        without_pictures(patch)
+        eq.report(out, record)
     return Page(out.read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module")
+def illustrated(hostile):
+    return Page(hostile[1].read_text(encoding="utf-8"))
 
 
 def test_the_page_has_what_was_found(page, eq):
@@ -102,10 +114,11 @@ def test_the_page_has_what_was_found(page, eq):
     coef = f"{eq[0].shown_coef['u']:.3f}"
     assert any(piece.startswith(coef) for piece in page.texts)
     assert len(page.all("math")) >= 5
+
+
+def test_the_page_has_pictures_and_loads_nothing(illustrated):
+    page = illustrated
     assert len(page.all("figure")) == len(page.all("img")) >= 12
-
-
-def test_the_page_loads_nothing(page):
     for tag, attributes in page.elements:
         for name in ("src", "href", "data", "action"):
             assert (attributes.get(name) or "data:").startswith("data:"), (tag, attributes)
@@ -115,7 +128,8 @@ def test_the_page_loads_nothing(page):
     assert "http" not in policy
 
 
-def test_the_policy_lets_these_scripts_run_and_no_other(page):
+def test_the_policy_lets_these_scripts_run_and_no_other(illustrated):
+    page = illustrated
     (policy,) = [a["content"] for a in page.all("meta") if a.get("http-equiv") == "Content-Security-Policy"]
     run = [a for a in page.all("script") if a.get("type") != "application/json"]
     allowed = re.findall(r"'sha256-([^']+)'", policy)
@@ -177,9 +191,15 @@ def test_an_interval_over_models_is_explained_where_it_stands(tmp_path):
     assert len(page.all("figure")) == 2  # a probability is in doubt
 
 
-def test_several_equations_and_records(tmp_path):
+def test_several_equations_and_records(tmp_path, monkeypatch):
     records = [bq.simulate("lorenz", n=300, seed=seed) for seed in (0, 1)]
     eq = bq.discover(records, chains=["x", "y"], inputs=["z"], dictionary="x, y, x*z")
+    captions = [caption for _, _, caption in _wanted(eq, records[0])]
+    assert {
+        "Coefficients and their 95 % intervals, each over its own size (dx)",
+        "Free run of y, its band, and residual",
+    } <= set(captions)
+    without_pictures(monkeypatch)
     eq.report(tmp_path / "out.html", records)
     text = Page((tmp_path / "out.html").read_text(encoding="utf-8")).text
     assert "Equations" in text
@@ -196,17 +216,15 @@ def test_the_command_finds_the_same_again(eq, record, tmp_path, capsys, monkeypa
     assert "x**3" in capsys.readouterr().out
 
 
-def test_hashes_and_the_command_of_the_command_line(hostile):
-    file, out = hostile
-    page = Page(out.read_text(encoding="utf-8"))
+def test_hashes_and_the_command_of_the_command_line(hostile, illustrated):
+    file, page = hostile[0], illustrated
     assert hashlib.sha256(file.read_bytes()).hexdigest() in page.text
     assert "--report" in page.text
     assert "--input u" in page.text
 
 
-def test_names_and_units_of_a_file_are_text_and_nothing_else(hostile):
-    _, out = hostile
-    page = Page(out.read_text(encoding="utf-8"))
+def test_names_and_units_of_a_file_are_text_and_nothing_else(illustrated):
+    page = illustrated
     assert all(attributes["src"].startswith("data:image/png") for attributes in page.all("img"))
     assert not [name for _, attributes in page.elements for name in attributes if name.startswith("on")]
     assert len([a for a in page.all("script") if a.get("type") != "application/json"]) == 2
@@ -299,7 +317,7 @@ def opened(browser, file, width, folder):
     return Page(done.stdout), [line for line in done.stderr.splitlines() if "CONSOLE" in line]
 
 
-@pytest.mark.parametrize("width", [1280, 390])
+@pytest.mark.parametrize("width", [1280, pytest.param(390, marks=pytest.mark.slow)])
 def test_in_a_browser(browser, hostile, width, tmp_path):
     _, out = hostile
     page, console = opened(browser, out, width, tmp_path)

@@ -28,15 +28,16 @@ QUICK = {
     "tracking": "0.0 2000",
 }
 
+# Their records are drawn below.
+LONGER = ("adverse", "circuit", "coupled", "servo", "white_force")
+
 
 def table(text: str) -> tuple[str, list[dict[str, str]]]:
     comment, *lines = text.splitlines()
     return comment, list(csv.DictReader(lines))
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in ("circuit", "servo"))) for name in QUICK]
-)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name in LONGER)) for name in QUICK])
 def test_a_command_with_one_record_writes_its_table(name, tmp_path, capsys):
     main = importlib.import_module(f"studies.{name}").main
     words = ["--records", "1", "--first-seed", "77", "--only", QUICK[name], "--store", str(tmp_path / "store.jsonl")]

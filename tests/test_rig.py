@@ -10,6 +10,8 @@ import bayeq as bq
 from bayeq.records import without_copies
 from bayeq.records.findings import clipped_levels
 
+AMONG_SIX = {"chains": "x::", "inputs": ["u"], "dictionary": "x, dx, x**2, x**3, dx*abs(dx), u"}
+
 
 def _hammer(seed: int, rows: int = 12) -> bq.Record:
     """A mass of 2 kg on a spring of 3200 N/m, hit twice; the force's noise of 1 % of its peak only in the blows."""
@@ -29,8 +31,8 @@ def _hammer(seed: int, rows: int = 12) -> bq.Record:
 def test_noise_in_blows_widens_the_interval_of_the_force() -> None:
     record = _hammer(0)
     with pytest.warns(bq.errors.DataWarning, match="u is exactly 0 between blows, its noise is not seen"):
-        unknown = bq.discover(record, chains="x::", inputs=["u"])
-    known = bq.discover(record, chains="x::", inputs=["u"], noise={"u": 2.0})
+        unknown = bq.discover(record, **AMONG_SIX)
+    known = bq.discover(record, **AMONG_SIX, noise={"u": 2.0})
     for eq in (unknown, known):
         assert eq.verdict.kind == "found"
         assert set(eq[0].shown) == {"x", "dx", "u"}
@@ -43,7 +45,7 @@ def test_blows_are_no_clipping_and_no_spikes() -> None:
     record = _hammer(1, rows=3)
     assert clipped_levels(_hammer(1)["u"]) == []
     with pytest.warns(bq.errors.DataWarning, match="exactly 0"):
-        eq = bq.discover(record, chains="x::", inputs=["u"])
+        eq = bq.discover(record, **AMONG_SIX)
     assert not any("left out" in message for message in eq.warnings)
     assert eq[0].shown
 

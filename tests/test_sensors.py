@@ -26,7 +26,7 @@ def quietly(*arguments, **options):
         return bq.discover(*arguments, **options)
 
 
-def noisy(of_force, seed=3, n=2000, of_others=0.05):
+def noisy(of_force, seed=3, n=1000, of_others=0.05):
     """A Duffing record, noise as shares of each channel's standard deviation; and that of the force."""
     clean, rng = bq.simulate("duffing", n=n, seed=seed, noise=0.0), np.random.default_rng(seed)
     shares = {"x": of_others, "v": of_others, "a": of_others, "u": of_force}
@@ -41,7 +41,7 @@ def error_of_force(eq):
     return p.coef[p.names.index("u")] - 1.0, p.sd[p.names.index("u")]
 
 
-@pytest.mark.parametrize("share", [0.05, 0.2])
+@pytest.mark.parametrize("share", [pytest.param(0.05, marks=pytest.mark.slow), 0.2])
 def test_known_noise_of_a_force_stays_what_was_given(share):
     record, sd = noisy(share)
     eq = quietly(record, **OSCILLATOR, dictionary=TERMS, noise={"u": sd})
@@ -111,7 +111,7 @@ def test_noise_of_states_that_are_taken_as_measured_is_not_used():
 
 def test_what_hidden_noise_of_an_input_would_do():
     rng = np.random.default_rng(0)
-    record = bq.simulate("duffing", n=3000, seed=3, force=50 * rng.standard_normal(3000))
+    record = bq.simulate("duffing", n=1500, seed=3, force=50 * rng.standard_normal(1500))
     eq = quietly(record, **OSCILLATOR, dictionary=TERMS)
     # the motion shows it
     assert not any("cannot be read" in message for message in eq.warnings)
@@ -166,7 +166,9 @@ def test_estimated_derivatives_have_the_calibration_of_what_they_come_from():
 def faint():
     """A Duffing record in which x**3 is 1 % of the noise."""
     force = 0.02 * bq.simulate("duffing", n=3000, seed=1, noise=0.0)["u"]
-    return quietly(bq.simulate("duffing", n=3000, seed=1, force=force), **OSCILLATOR)
+    return quietly(
+        bq.simulate("duffing", n=3000, seed=1, force=force), **OSCILLATOR, dictionary=[*TERMS, "x**2", "x*v"]
+    )
 
 
 def test_a_cubic_term_of_small_amplitude_is_not_determined(faint):

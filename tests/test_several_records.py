@@ -22,7 +22,7 @@ def forced_and_decay(seed):
 
 
 @pytest.mark.filterwarnings("ignore:.*is exactly 0 between blows")
-@pytest.mark.statistical(short=2, full=6)
+@pytest.mark.statistical(short=1, full=6)
 def test_a_free_decay_joins_a_forced_record(number):
     true = {"x": -1000.0, "v": -2.0, "x**3": -1e5, "u": 1.0}
     errors = []
@@ -51,7 +51,7 @@ def test_what_was_found_predicts_a_free_decay(smooth):
 # in so short a record other forms of damping keep a PIP of some 0.1, which is warned about
 @pytest.mark.filterwarnings("ignore::bayeq.errors.AmbiguityWarning")
 @pytest.mark.filterwarnings("ignore::bayeq.errors.CorrelatedResidualsWarning")
-@pytest.mark.parametrize("level", [0.0, 0.05])
+@pytest.mark.parametrize("level", [pytest.param(0.0, marks=pytest.mark.slow), 0.05])
 @pytest.mark.parametrize(
     "dictionary", ["x, dx, x**2, x**3, dx**3, u", pytest.param("oscillator", marks=pytest.mark.slow)]
 )

@@ -222,7 +222,7 @@ def test_an_equation_of_displacement_and_force_explains_its_target():
     assert eq.scores.one_step["ddx"] < 0.3
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.001, 0.01])
+@pytest.mark.parametrize("noise", [0.0, pytest.param(0.001, marks=pytest.mark.slow), 0.01])
 def test_lorenz_from_states_alone(noise):
     rng = np.random.default_rng(1)
     t = 0.01 * np.arange(2000)

@@ -36,11 +36,11 @@ def record():
     return bq.simulate("duffing", n=60_000, seed=3)
 
 
-def divide(patch, rows_each):
+def divide(patch, rows_each, unit=7000):
     """Units and stretches of few rows, so that short files have several."""
     for module in ("parquet", "text"):
-        patch.setattr(f"bayeq.records.formats.{module}.UNIT_ROWS", 7000)
-    patch.setattr("bayeq.records.formats.protocol.grid.__defaults__", (7000,))
+        patch.setattr(f"bayeq.records.formats.{module}.UNIT_ROWS", unit)
+    patch.setattr("bayeq.records.formats.protocol.grid.__defaults__", (unit,))
     patch.setattr("bayeq.streaming.work.ROWS_EACH", rows_each)
 
 
@@ -54,10 +54,10 @@ SEVERAL = {"dictionary": "x, v, x**2, x**3, x*v, v*abs(v), u"}
 
 @pytest.fixture(scope="module")
 def streamed(record, tmp_path_factory):
-    """What is found of the first 14,000 rows in a file, from stretches of 150."""
+    """What is found of the first 7,000 rows in a file, from stretches of 75."""
     with pytest.MonkeyPatch.context() as patch:
-        divide(patch, 150)
-        path = written(record.take(slice(0, 14_000)), tmp_path_factory.mktemp("streamed") / "r.parquet")
+        divide(patch, 75, 3500)
+        path = written(record.take(slice(0, 7000)), tmp_path_factory.mktemp("streamed") / "r.parquet")
         return quietly(path, stream=True, **SEVERAL)
 
 
@@ -226,7 +226,10 @@ def compare(found, expected, rtol, pip=1e-5):
     np.testing.assert_allclose(a.pip, b.pip, atol=pip)
 
 
-@pytest.mark.parametrize("name", ["r.parquet", "r.csv", "r.h5"])
+# that other files have the same rows: above
+@pytest.mark.parametrize(
+    "name", ["r.parquet", *(pytest.param(name, marks=pytest.mark.slow) for name in ("r.csv", "r.h5"))]
+)
 def test_without_smoothing_the_answer_is_that_in_memory(name, record, tmp_path):
     path = written(record.take(slice(0, 24_000)), tmp_path / name)
     found, expected = quietly(path, smooth="none", stream=True), quietly(path, smooth="none", stream=False)
@@ -258,33 +261,33 @@ def test_correlated_residuals_count_as_in_memory(tmp_path):
 
 
 def test_the_likelihood_of_all_rows_is_that_in_memory(record, streamed):
-    record = record.take(slice(0, 14_000))
+    record = record.take(slice(0, 7000))
     found, expected = streamed, quietly(record, **SEVERAL)
     assert found[0].included == expected[0].included == ("x", "v", "x**3", "u")
     for name in found[0].included:
         sd = expected.table().set_index("term").sd[name]
-        # units of 7,000 rows, of whose first states nothing is known, leave out some of what the record tells
+        # units of 5,000 and 2,000 rows, of whose first states nothing is known, leave out some of what the record tells
         assert abs(found[0].coef[name] - expected[0].coef[name]) < 0.35 * sd
     assert found.data.n == record.n
     assert found.verdict.kind == expected.verdict.kind == "found"
 
 
 def test_bad_samples_outside_of_the_stretches_are_counted(record, streamed, tmp_path, monkeypatch):
-    monkeypatch.setattr("bayeq.streaming.work.ROWS_EACH", 150)
-    record = record.take(slice(0, 14_000))
+    divide(monkeypatch, 75, 3500)
+    record = record.take(slice(0, 7000))
     x, u = np.array(record["x"]), np.array(record["u"])
-    # 20 stretches of 150 rows begin every 728.9 rows
-    x[[400, 1200, 5000]] += 20.0 * x.std()
-    u[[2700, 2701]] = np.nan
+    # 20 stretches of 75 rows begin every 364.5 rows
+    x[[200, 600, 2500]] += 20.0 * x.std()
+    u[[1350, 1351]] = np.nan
     path = written(record.with_channels({"x": x, "u": u}), tmp_path / "r.parquet")
     found = quietly(path, stream=True, **SEVERAL)
     assert found[0].included == ("x", "v", "x**3", "u")
-    said = [line for line in found.warnings if "all 14,000 rows" in line]
+    said = [line for line in found.warnings if "all 7,000 rows" in line]
     assert said == [
-        "of all 14,000 rows these samples are missing: 2 of u; check the sensors",
-        "of all 14,000 rows these samples were left out as bad: 3 of x; check the sensors",
+        "of all 7,000 rows these samples are missing: 2 of u; check the sensors",
+        "of all 7,000 rows these samples were left out as bad: 3 of x; check the sensors",
     ]
-    assert not any("all 14,000 rows" in line for line in streamed.warnings)
+    assert not any("all 7,000 rows" in line for line in streamed.warnings)
     for name in found[0].included:
         sd = streamed.table().set_index("term").sd[name]
         assert abs(found[0].coef[name] - streamed[0].coef[name]) < 0.1 * sd
@@ -562,17 +565,18 @@ def test_long_records_in_memory_have_the_likelihood_too(record, monkeypatch):
     assert found[0].included == ("x", "v", "x**3", "u")
 
 
-@pytest.mark.parametrize("where", ["in memory", "in a file"])
+# all rows of one in memory: test_relearn
+@pytest.mark.parametrize("where", [pytest.param("in memory", marks=pytest.mark.slow), "in a file"])
 def test_long_records_with_what_takes_whole_records_are_some_stretches(record, where, tmp_path, monkeypatch):
-    monkeypatch.setattr("bayeq.discovery.entry.MOST_ROWS", 10_000)
-    monkeypatch.setattr("bayeq.records.stream.LARGE", 10_000)
-    monkeypatch.setattr("bayeq.streaming.work.ROWS_EACH", 150)
-    rows = record.take(slice(0, 14_000))
+    monkeypatch.setattr("bayeq.discovery.entry.MOST_ROWS", 5000)
+    monkeypatch.setattr("bayeq.records.stream.LARGE", 5000)
+    monkeypatch.setattr("bayeq.streaming.work.ROWS_EACH", 75)
+    rows = record.take(slice(0, 7000))
     asked = {"dictionary": "x, v, x**3, u, cos(3*t)"}
     found = quietly(rows if where == "in memory" else written(rows, tmp_path / "r.h5"), **asked)
-    assert (found.data.stretches, found.data.n) == (0, 3000)
+    assert (found.data.stretches, found.data.n) == (0, 1500)
     assert found[0].included == ("x", "v", "x**3", "u")
-    assert any(one.startswith("3,000 of 14,000 rows are used, 20 stretches: a term uses t") for one in found.warnings)
+    assert any(one.startswith("1,500 of 7,000 rows are used, 20 stretches: a term uses t") for one in found.warnings)
 
 
 def test_the_answer_says_what_is_of_stretches_only(record, tmp_path):

@@ -10,6 +10,7 @@ from bayeq.errors import DataWarning, InputError
 from bayeq.likelihood.unequal import tails_of
 
 ROLES = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u"}
+AMONG_EIGHT = {**ROLES, "dictionary": "x, v, x**2, x**3, x*v, v**2, v*abs(v), u"}
 
 
 def with_noise(draw, seed=3, n=1500):
@@ -40,7 +41,7 @@ def test_gaussian_errors_have_equal_variances():
 def test_intervals_under_heavy_tails_are_shorter_and_cover():
     record = with_noise(lambda rng, n: rng.standard_t(3, n) / np.sqrt(3.0))
     with pytest.warns(DataWarning, match="left out"):
-        gauss, student = (bq.discover(record, **ROLES, tails=tails) for tails in ("gauss", "student"))
+        gauss, student = (bq.discover(record, **AMONG_EIGHT, tails=tails) for tails in ("gauss", "student"))
     truth = bq.simulate("duffing", n=10, seed=3).truth.coefficients["a"]
     tables = [eq.table().set_index("term") for eq in (gauss, student)]
     assert set(student[0].included) == set(truth)
@@ -52,8 +53,8 @@ def test_intervals_under_heavy_tails_are_shorter_and_cover():
 
 
 def test_with_gaussian_noise_nothing_changes():
-    record = with_noise(lambda rng, n: rng.normal(size=n))
-    gauss, student = (bq.discover(record, **ROLES, tails=tails)[0] for tails in ("gauss", "student"))
+    record = with_noise(lambda rng, n: rng.normal(size=n), n=800)
+    gauss, student = (bq.discover(record, **AMONG_EIGHT, tails=tails)[0] for tails in ("gauss", "student"))
     assert gauss.included == student.included
     for term, value in gauss.coef.items():
         assert student.coef[term] == pytest.approx(value, rel=2e-3)
@@ -64,7 +65,12 @@ def test_is_kept_in_files_and_shown(tmp_path, capsys):
     run, saved = tmp_path / "run.csv", tmp_path / "eq.json"
     bq.write(record, run)
     roles = ["--disp", "x", "--vel", "v", "--acc", "a", "--force", "u"]
-    assert main(["discover", str(run), *roles, "--tails", "student", "--save", str(saved)]) == 0
+    assert (
+        main(
+            ["discover", str(run), *roles, "--dictionary", "x, v, x**3, u", "--tails", "student", "--save", str(saved)]
+        )
+        == 0
+    )
     assert "noise: Student's t" in capsys.readouterr().out
     assert bq.load(saved).data.sensors.tails == "student"
 

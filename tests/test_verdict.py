@@ -33,7 +33,7 @@ def quietly(records, **options):
 
 
 def test_found():
-    eq = bq.discover(bq.simulate("duffing", seed=1), **OSCILLATOR)
+    eq = bq.discover(bq.simulate("duffing", n=1000, seed=1), **OSCILLATOR)
     assert eq.verdict.kind == eq[0].verdict.kind == "found"
     assert f"R2 {eq[0].held_out.r2:.3g} on the held-out rows" in eq.verdict.reason
     assert str(eq).startswith(f"verdict: found: {eq.verdict.reason}\n")
@@ -71,7 +71,7 @@ def test_none_where_free_runs_leave_the_record():
 
 def test_chaotic_motion_is_followed_over_a_period():
     # over all held-out rows a run of Lorenz's system is as far off as the mean, however exact the equations
-    eq = quietly(bq.simulate("lorenz", n=8000, seed=1, noise=0.01), chains=["x", "y", "z"], dictionary="polynomial:2")
+    eq = quietly(bq.simulate("lorenz", n=5000, seed=1, noise=0.01), chains=["x", "y", "z"], dictionary="polynomial:2")
     assert [set(one.shown) for one in eq] == [{"x", "y"}, {"x", "y", "x*z"}, {"z", "x*y"}]
     assert eq.scores.free_run["x"] > 0.5
     assert eq.verdict.kind == "found"

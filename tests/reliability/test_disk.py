@@ -9,47 +9,66 @@ from contextlib import suppress
 
 import pytest
 
-from tests.reliability.commands import QUICK, bayeq, environment, mounted, remarks, start
+from bayeq.cli.app import main
+from tests.reliability.commands import QUICK, bayeq, environment, mounted, remarks
 
 STUDY = ["study", "table2", "--systems", "linear", "--algorithms", "sindy", "--jobs", "1"]
 
 
-def test_a_full_disk_names_the_file(folder, full_disk):
+@pytest.fixture
+def run(folder, monkeypatch, capsys):
+    """A command in this process, where the record is: exit code, standard output, and standard error."""
+    monkeypatch.chdir(folder)
+
+    def command(*arguments):
+        code = main(list(map(str, arguments)))
+        return code, *capsys.readouterr()
+
+    return command
+
+
+def fill(disk):
+    with suppress(OSError):
+        (disk / "other").write_bytes(bytes(80_000))
+
+
+def test_a_full_disk_names_the_file(run, full_disk, monkeypatch):
+    monkeypatch.setattr("bayeq.equation.report.page.pictures", lambda *_: ([], []))
+    fill(full_disk)
     page = full_disk / "page.html"
-    code, out, said = bayeq("discover", "run.csv", *QUICK, "--report", page, cwd=folder)
-    assert (code, said) == (2, [f"bayeq: error: {page}: No space left on device"])
+    code, out, err = run("discover", "run.csv", *QUICK, "--report", page)
+    assert (code, remarks(err)) == (2, [f"bayeq: error: {page}: No space left on device"])
     assert "\na = " in out
-    code, _, said = bayeq("simulate", "linear", "-o", full_disk / "new.csv", cwd=folder)
-    assert (code, said) == (2, [f"bayeq: error: {full_disk}/new.csv: cannot be written (No space left on device)"])
-    assert [path for path in full_disk.rglob("*") if path.is_file()] == []
+    code, _, err = run("simulate", "linear", "-o", full_disk / "new.csv")
+    assert code == 2
+    assert remarks(err) == [f"bayeq: error: {full_disk}/new.csv: cannot be written (No space left on device)"]
+    assert [path.name for path in full_disk.rglob("*") if path.is_file()] == ["other"]
 
 
-def test_a_study_on_a_full_disk_goes_on_when_there_is_room(folder, full_disk):
+def test_a_study_on_a_full_disk_goes_on_when_there_is_room(run, full_disk):
     store, size = full_disk / "study.db", ["--realisations", "60"]
-    code, _, said = bayeq(*STUDY, *size, "--store", store, cwd=folder)
-    assert (code, said) == (2, [f"bayeq: error: {store}: database or disk is full"])
-    kept = json.loads(bayeq("study", "show", store, "--json", cwd=folder)[1])
+    code, _, err = run(*STUDY, *size, "--store", store)
+    assert (code, remarks(err)) == (2, [f"bayeq: error: {store}: database or disk is full"])
+    kept = json.loads(run("study", "show", store, "--json")[1])
     assert all(row["n"] < 60 for row in kept["rows"])
     subprocess.run(["mount", "-o", "remount,size=1m", str(full_disk)], check=True)
-    assert bayeq(*STUDY, *size, "--store", store, cwd=folder)[0] == 0
-    (row,) = json.loads(bayeq("study", "show", store, "--json", cwd=folder)[1])["rows"]
+    assert run(*STUDY, *size, "--store", store)[0] == 0
+    (row,) = json.loads(run("study", "show", store, "--json")[1])["rows"]
     assert row["n"] == 60
 
 
-def test_a_full_disk_keeps_no_sums_and_the_run_goes_on(folder, full_disk):
-    def run(place):
-        process = start("discover", "run.csv", *QUICK, "--stream", "--checkpoint", place, cwd=folder)
-        out, err = process.communicate(timeout=300)
-        assert process.returncode == 0, err
+def test_a_full_disk_keeps_no_sums_and_the_run_goes_on(run, folder, full_disk):
+    def answer(place):
+        code, out, err = run("discover", "run.csv", *QUICK, "--stream", "--checkpoint", place)
+        assert code == 0, err
         return out, [line for line in err.splitlines() if "sums" in line]
 
-    expected, said = run(folder / "room")
+    expected, said = answer(folder / "room")
     assert said == []
     sums = full_disk / "sums"
     sums.mkdir()
-    with suppress(OSError):
-        (full_disk / "other").write_bytes(bytes(80_000))
-    out, said = run(sums)
+    fill(full_disk)
+    out, said = answer(sums)
     assert out == expected
     (line,) = said
     assert line.startswith(f"bayeq: warning: {sums}/")
@@ -57,23 +76,19 @@ def test_a_full_disk_keeps_no_sums_and_the_run_goes_on(folder, full_disk):
     assert list(sums.iterdir()) == []
 
 
-def test_a_full_cache_is_done_without_in_silence(folder, full_disk):
+def test_a_full_cache_is_done_without_in_silence(run, full_disk, monkeypatch):
     """What nobody asked for is missed by nobody."""
-    cache = full_disk / "bayeq"
-    with suppress(OSError):
-        (full_disk / "other").write_bytes(bytes(80_000))
-    program = "from bayeq.streaming import checkpoint; checkpoint.EVERY = 0.0; from bayeq.cli.process import run; run()"
-    done = subprocess.run(
-        [sys.executable, "-c", program, "discover", "run.csv", *QUICK, "--stream"],
-        cwd=folder, env=environment(XDG_CACHE_HOME=full_disk), capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    assert "\na = " in done.stdout
-    assert remarks(done.stderr) == []
-    assert "sums" not in done.stderr
-    assert [path for path in cache.rglob("*") if path.is_file()] == []
+    monkeypatch.setenv("XDG_CACHE_HOME", str(full_disk))
+    monkeypatch.setattr("bayeq.streaming.checkpoint.EVERY", 0.0)
+    fill(full_disk)
+    code, out, err = run("discover", "run.csv", *QUICK, "--stream")
+    assert (code, remarks(err)) == (0, [])
+    assert "\na = " in out
+    assert "sums" not in err
+    assert [path for path in (full_disk / "bayeq").rglob("*") if path.is_file()] == []
 
 
-def test_read_only_folders_are_refused_before_the_work(folder, read_only):
+def test_read_only_folders_are_refused_before_the_work(run, read_only):
     for command in (
         ["discover", "run.csv", *QUICK, "--save", read_only / "eq.json"],
         ["discover", "run.csv", *QUICK, "--report", read_only / "page.html"],
@@ -81,7 +96,8 @@ def test_read_only_folders_are_refused_before_the_work(folder, read_only):
         ["simulate", "linear", "-o", read_only / "new.csv"],
         [*STUDY, "--store", read_only / "study.db"],
     ):
-        code, out, said = bayeq(*command, cwd=folder)
+        code, out, err = run(*command)
+        said = remarks(err)
         assert (code, out, len(said)) == (2, "", 1)
         assert said[0].startswith(f"bayeq: error: {read_only}/")
 

@@ -42,10 +42,10 @@ def test_the_least_that_is_asked_for_is_enough(folder):
 
 def test_too_little_for_what_is_asked_for_is_one_clear_line(folder):
     before = limited(660)  # drawing takes more
-    code, out, said = bayeq("discover", "run.csv", *QUICK, "--report", "page.html", cwd=folder, before=before)
+    code, out, said = bayeq("discover", "run.csv", *QUICK, "--forecast", "runs.png", cwd=folder, before=before)
     if code:
         assert (code, len(said)) == (1, 1)
         assert said[0].startswith("bayeq: error: not enough memory: this process is limited to 660 MB")
-        assert not (folder / "page.html").exists()
+        assert not (folder / "runs.png").exists()
     else:
         assert "\na = " in out

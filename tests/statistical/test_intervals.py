@@ -19,7 +19,7 @@ def standardised(eq, truth):
     return error / eq.posterior.sd, error @ np.linalg.solve(eq.posterior.covariance, error)
 
 
-@pytest.mark.statistical(short=4, full=200)
+@pytest.mark.statistical(short=2, full=200)
 @pytest.mark.parametrize("system", [pytest.param("linear", marks=pytest.mark.slow), "duffing"])
 def test_errors_over_records_are_those_stated(system, number):
     # By the stationary formula the sd of the linear oscillator's damping is 1.3 times too large, that of x**3 1.15
@@ -48,10 +48,10 @@ def free_decays():
         yield omega**2 + damping**2 / 4, damping, 10 ** rng.uniform(-3.0, -1.5)
 
 
-@pytest.mark.statistical(short=6, full=40)
+@pytest.mark.statistical(short=3, full=40)
 def test_intervals_of_free_decays_cover(number):
     # The memory of the weights is a good part of such a record; when stretches of 256 rows counted as independent, the
-    # intervals of the first covered 73 %. Of 48 intervals of the short form 41 must cover, of 320 between 290 and 315.
+    # intervals of the first covered 73 %. Of 24 intervals of the short form 19 must cover, of 320 between 290 and 315.
     inside, squares = [], 0.0
     prior = bq.Prior(prior_inclusion=1.0, slab_variance=1e8)
     for k, (stiffness, damping, noise) in enumerate(free_decays()):
