@@ -10,8 +10,7 @@ import numpy as np
 
 from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation
-from bayeq.equation.oscillator import own_parameters
-from bayeq.equation.physical import PhysicalParameters, Quantity, forces_of
+from bayeq.equation.physical import PhysicalParameters, Quantity, forces_of, own_parameters
 from bayeq.equation.text import (
     CERTAIN,
     DOUBTFUL,

@@ -457,7 +457,7 @@ class Equations(Answer):
         InputError
             An equation that is not of second order, or without a restoring term; a record whose time is not known.
         """
-        from bayeq.equation.oscillator import oscillator_parameters
+        from bayeq.equation.physical import oscillator_parameters
 
         return oscillator_parameters(self, mass, target=target, force=force, draws=draws, seed=seed)
 

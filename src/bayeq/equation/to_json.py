@@ -12,7 +12,7 @@ from bayeq.dictionary.ranges import ConstantEstimate
 from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation
 from bayeq.equation.intervals import Model
-from bayeq.equation.oscillator import own_parameters
+from bayeq.equation.physical import own_parameters
 from bayeq.equation.written import finite
 from bayeq.forecast.score import Scores
 from bayeq.inference.posterior import Posterior

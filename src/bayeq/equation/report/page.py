@@ -23,7 +23,7 @@ from bayeq.equation.answer import Answer
 from bayeq.equation.brief import checks, failed, law_in_symbols, sentence, tabled_parameters, what_to_try
 from bayeq.equation.equation import Equation
 from bayeq.equation.explain import explanation
-from bayeq.equation.oscillator import own_parameters
+from bayeq.equation.physical import own_parameters
 from bayeq.equation.text import MARK, Row, rows_of, unseen
 from bayeq.equation.written import round_to
 from bayeq.errors import BayeqError, BayeqWarning, InputError, needing
