@@ -171,7 +171,7 @@ def apply_to(equations: Equations, records: Sequence[Record], draws: int = 200, 
         one, converted = as_equations_have_them(equations, record)
         fitting.append(one)
         notes += converted
-    pieces = along.prepared(fitting, equations.roles, equations.smooth, equations.warnings, divide=True)
+    pieces = along.prepared(equations, fitting, divide=True)
     pieces = [piece for piece in pieces if piece.n >= LEAST_ROWS]
     if not pieces:
         raise InputError(f"{records[0].name or 'record'}: too few rows to predict; give two or more")
