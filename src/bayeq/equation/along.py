@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -29,32 +29,25 @@ Found = TypeVar("Found", bound=Answer)
 LAST = 0.2
 
 
-def prepared(
-    records: Sequence[Record],
-    roles: Roles,
-    smooth: Smooth,
-    said: Collection[str],
-    divide: bool = False,
-    level: int = 3,
-) -> list[Record]:
+def prepared(eq: Answer, records: Sequence[Record], divide: bool = False, level: int = 3) -> list[Record]:
     """Records as they were measured, without bad samples, and with `divide` divided at long gaps.
 
-    Warnings that were said before are not given again; they name the line at this `level`, as in `warnings.warn`, by
-    default that of the caller's caller.
+    What `discover` has said of them is not said again. Warnings name the line at this `level`, as in `warnings.warn`,
+    by default that of the caller's caller.
 
     Warns
     -----
     DataWarning
         Samples that are missing or left out, and gaps.
     """
-    roles = _without_targets(roles.seen, records)
-    found, messages = cleaned(records, roles, smooth)
+    roles = _without_targets(eq.roles.seen, records)
+    found, messages = cleaned(records, roles, eq.smooth)
     if divide:
-        found, more = divided_at_gaps(found, roles, smooth)
+        found, more = divided_at_gaps(found, roles, eq.smooth)
         messages += more
     for message in dict.fromkeys(messages):
         named = f"{records[0].name or 'record'}: {message}"  # as it is said of several records
-        if message not in said and (len(records) > 1 or named not in said):
+        if message not in eq.warnings and (len(records) > 1 or named not in eq.warnings):
             warnings.warn(message, DataWarning, stacklevel=level)
     return found
 
@@ -152,7 +145,7 @@ def refinement(eq: Found, records: Sequence[Record], holdout: float, interpolati
     found = refine(
         eq.dynamics(),
         eq.dynamics([equation.intercept_matters for equation in eq.equations]),
-        prepared(records, eq.roles, eq.smooth, eq.warnings, divide=True, level=4),
+        prepared(eq, records, divide=True, level=4),
         smooth=eq.smooth,
         holdout=holdout,
         interpolation=interpolation or eq.data.interpolation,

@@ -251,12 +251,8 @@ class Answer:
         """All candidates of all equations: target, term, coef, sd, ci_low, ci_high, pip, included."""
         import pandas as pd
 
-        tables = []
-        for equation in self.equations:
-            one = equation.table()
-            one.insert(0, "target", equation.target)
-            tables.append(one)
-        return pd.concat(tables, ignore_index=True)
+        tables = {equation.target: equation.table() for equation in self.equations}
+        return pd.concat(tables, names=["target"]).reset_index(level=0).reset_index(drop=True)
 
     def coefficients(self) -> dict[str, dict[str, float]]:
         """Coefficients of the equations shown: ``{"a": {"x": -1000.3, "v": -2.0, "u": 1.0}}``.

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from bayeq.arrays import Floats
 from bayeq.equation import along
 from bayeq.equation.equations import Equations
 from bayeq.equation.verdict import state_noise, window_errors
@@ -73,10 +72,6 @@ class Prediction:
 
     def to_dict(self) -> dict[str, Any]:
         """What ``bayeq predict --json`` prints; None for the infinite error of a run that blew up."""
-
-        def plain(errors: Mapping[str, Error]) -> dict[str, Any]:
-            return {name: {key: finite(value) for key, value in asdict(one).items()} for name, one in errors.items()}
-
         return {
             "version": version("bayeq"),
             "verdict": {"kind": self.kind, "reason": self.reason},
@@ -87,9 +82,9 @@ class Prediction:
                 "seconds": self.seconds,
             },
             "equations": self.text.splitlines(),
-            "one_step": plain(self.one_step),
-            "free_run": plain(self.free_run),
-            "windows": {name: finite(error) for name, error in self.windows.items()},
+            "one_step": finite({name: asdict(one) for name, one in self.one_step.items()}),
+            "free_run": finite({name: asdict(one) for name, one in self.free_run.items()}),
+            "windows": finite(self.windows),
             "blew_up_at": self.blew_up_at,
             "warnings": list(self.notes),
         }
@@ -176,7 +171,7 @@ def apply_to(equations: Equations, records: Sequence[Record], draws: int = 200, 
         one, converted = as_equations_have_them(equations, record)
         fitting.append(one)
         notes += converted
-    pieces = along.prepared(fitting, equations.roles, equations.smooth, equations.warnings, divide=True)
+    pieces = along.prepared(equations, fitting, divide=True)
     pieces = [piece for piece in pieces if piece.n >= LEAST_ROWS]
     if not pieces:
         raise InputError(f"{records[0].name or 'record'}: too few rows to predict; give two or more")
@@ -335,16 +330,14 @@ def test_errors(equations: Equations, records: Sequence[Record], skip: int) -> l
         units = {channel: unit for channel, unit in record.units.items() if channel in inputs}
         driven = Record.from_arrays(inputs or {"t_": np.zeros(record.n)}, time=record.time, units=units, name=name)
         run = equations.simulate(driven, initial=start, draws=0)
-        out += [_error(name, state, skip, record, run.mean) for state in start if state in record.channels]
+        for state in start:
+            if state not in record.channels:
+                continue
+            measured, found = record[state][skip:], run.mean[state]
+            there, rmse = np.isfinite(measured), math.inf
+            if len(found) == record.n and np.isfinite(found).all():
+                rmse = float(np.sqrt(np.mean((found[skip:] - measured)[there] ** 2)))
+            sd = float(np.std(measured[there]))
+            nrmse = rmse / sd if sd > 0.0 else math.inf
+            out.append(TestError(name, state, skip, int(there.sum()), rmse, nrmse, record.units.get(state)))
     return out
-
-
-def _error(name: str, state: str, skip: int, record: Record, run: Mapping[str, Floats]) -> TestError:
-    measured, found = np.asarray(record[state])[skip:], np.asarray(run[state])
-    there = np.isfinite(measured)
-    rmse = math.inf
-    if len(found) == record.n and np.isfinite(found).all():
-        rmse = float(np.sqrt(np.mean((found[skip:] - measured)[there] ** 2)))
-    sd = float(np.std(measured[there]))
-    nrmse = rmse / sd if sd > 0.0 else math.inf
-    return TestError(name, state, skip, int(there.sum()), rmse, nrmse, record.units.get(state))

@@ -8,23 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayeq.equation import text
 from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation
-from bayeq.equation.oscillator import own_parameters
-from bayeq.equation.physical import PhysicalParameters, Quantity, forces_of
-from bayeq.equation.text import (
-    CERTAIN,
-    DOUBTFUL,
-    LONGEST_NAME,
-    Row,
-    forms_of,
-    given_of,
-    rows_of,
-    short_names,
-    source_of,
-    unseen,
-    with_names,
-)
+from bayeq.equation.physical import PhysicalParameters, Quantity, forces_of, own_parameters
 from bayeq.equation.written import moment
 from bayeq.errors import printable
 from bayeq.figures.runs import draw_states
@@ -59,14 +46,18 @@ def brief(eq: Answer) -> str:
     lines = _wrapped(f"verdict: {eq.verdict.kind}: {sentence(eq)}")
     if eq.verdict.kind == "none":
         return "\n".join([*lines, "", *_wrapped(what_to_try(eq))])
-    physical = own_parameters(eq)
+    physical, law = own_parameters(eq), list[str]()
+    if physical is not None and len(eq.equations) == 1:
+        in_symbols = law_in_symbols(eq, physical)
+        law = [] if in_symbols is None else [printable(in_symbols)]
+        law += _quantities([q for q in physical if q.symbol not in DERIVED])
     for one in eq.equations:
-        found = physical if len(eq.equations) == 1 else None
         tabled = physical is None or _doubtful(one) or bool(one.shown_constants)
         lines += [
             *([""] if tabled or one is eq.equations[0] else []),
-            *(() if found is None else _law(one, found, eq.inputs)),
-            *map(_bold, _wrapped(printable(one.text), "    ")),
+            *law,
+            # bold for a terminal; `click.echo` takes it out elsewhere
+            *(f"\x1b[1m{line}\x1b[0m" for line in _wrapped(printable(one.text), "    ")),
         ]
         if tabled:
             lines += _table(one, ENGINES[eq.method].score)
@@ -75,19 +66,14 @@ def brief(eq: Answer) -> str:
     lines += ["", *_wrapped(checks(eq))]
     for one in eq.equations:
         which = f"{one.target}: " if len(eq.equations) > 1 else ""
-        texts = (*failed(one), *unseen(one, FEW, ADVICE))
-        lines += [line for text in texts for line in _wrapped(printable(which + text))]
-    lines += [line for text in given_of(eq) for line in _wrapped(printable(text))]
-    return "\n".join([*lines, *_wrapped(source_of(eq, short=True))])
+        texts = (*failed(one), *text.unseen(one, FEW, ADVICE))
+        lines += [line for said in texts for line in _wrapped(printable(which + said))]
+    lines += [line for said in text.given_of(eq) for line in _wrapped(printable(said))]
+    return "\n".join([*lines, *_wrapped(text.source_of(eq, short=True))])
 
 
-def _bold(line: str) -> str:
-    """For a terminal; `click.echo` takes it out elsewhere."""
-    return f"\x1b[1m{line}\x1b[0m"
-
-
-def _wrapped(text: str, indent: str = "  ") -> list[str]:
-    return textwrap.wrap(text, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+def _wrapped(words: str, indent: str = "  ") -> list[str]:
+    return textwrap.wrap(words, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
 def sentence(eq: Answer) -> str:
@@ -116,14 +102,6 @@ def what_to_try(eq: Answer) -> str:
     )
 
 
-def _law(equation: Equation, found: PhysicalParameters, inputs: Sequence[str]) -> Iterator[str]:
-    """The law in physical parameters, and these."""
-    law = in_symbols(equation, found, inputs)
-    if law is not None:
-        yield printable(law)
-    yield from _quantities([q for q in found if q.symbol not in DERIVED])
-
-
 def tabled_parameters(found: PhysicalParameters) -> list[tuple[str, str, str, str, str]]:
     """Symbol, value, interval, unit and meaning of physical parameters, but for those that follow from others."""
     told = [(q.symbol, q.cells, q.meaning) for q in found if q.symbol not in DERIVED]
@@ -131,24 +109,21 @@ def tabled_parameters(found: PhysicalParameters) -> list[tuple[str, str, str, st
 
 
 def law_in_symbols(eq: Answer, found: PhysicalParameters) -> str | None:
-    """The law of a single equation in physical parameters, where it can be written so."""
-    return in_symbols(eq.equations[0], found, eq.inputs) if len(eq.equations) == 1 else None
-
-
-def in_symbols(equation: Equation, found: PhysicalParameters, inputs: Sequence[str]) -> str | None:
-    """``m*a + c*v + k*x = u``; None where terms or a constant have no place in it."""
-    symbols = {q.symbol for q in found}
-    if equation.chain.order != 2 or found.unexplained or (equation.intercept_matters and "x0" not in symbols):
+    """``m*a + c*v + k*x = u`` of a single equation; None where terms or a constant have no place in it."""
+    symbols, equation = {q.symbol for q in found}, eq.equations[0]
+    if len(eq.equations) > 1 or equation.chain.order != 2 or found.unexplained:
+        return None
+    if equation.intercept_matters and "x0" not in symbols:
         return None
     per, x = "" if "m" in symbols else "/m", equation.chain.states[0]
     about = f"({x} - x0)" if "x0" in symbols else x
     parts = [f"m*{equation.target}" if not per else equation.target]
     parts += [
-        f"{f'({force.symbol}{per})' if per else force.symbol}*{with_names(force.term, {x: about})}"
+        f"{f'({force.symbol}{per})' if per else force.symbol}*{text.with_names(force.term, {x: about})}"
         for force in forces_of(equation.chain)
         if force.symbol + per in symbols
     ]
-    driven = [name for name in equation.shown if name in inputs]
+    driven = [name for name in equation.shown if name in eq.inputs]
     return f"{' + '.join(parts)} = {driven[0] if driven and not per else '0'}" if not (driven and per) else None
 
 
@@ -164,17 +139,17 @@ def _doubtful(equation: Equation) -> bool:
     """Whether terms need their probabilities: one of those shown is not certain, or there is a rival."""
     pip = equation.posterior.pip[equation.shown_posterior.support]
     rivals = [r for r in equation.runners_up if r.log_odds > np.log(RIVAL)]
-    return bool((pip < CERTAIN).any() or rivals or equation.left_out)
+    return bool((pip < text.CERTAIN).any() or rivals or equation.left_out)
 
 
 def _table(equation: Equation, score: str) -> list[str]:
-    with_pip, (*rows, constant) = _doubtful(equation), rows_of(equation)
-    short = short_names([term.text for term in equation.terms], LONGEST_NAME)
+    with_pip, (*rows, constant) = _doubtful(equation), text.rows_of(equation)
+    short = text.short_names([term.text for term in equation.terms], text.LONGEST_NAME)
     table = [("term", "coefficient", "95 % interval", "unit", score)]
     for row in rows:
         if row.coefficient or (with_pip and row.pip >= NOTEWORTHY_PIP):
             number = row.coefficient or "not in it"
-            table.append((with_names(row.name, short), number, row.interval, row.unit, row.score))
+            table.append((text.with_names(row.name, short), number, row.interval, row.unit, row.score))
     if equation.intercept_matters:
         table.append(("constant", constant.coefficient, constant.interval, constant.unit, ""))
     kept = [0, 1, 2, *([3] if any(row[3] for row in table[1:]) else []), *([4] if with_pip else [])]
@@ -205,13 +180,13 @@ def failed(equation: Equation) -> Iterator[str]:
     """Diagnostics that fail, and what to do."""
     found = equation.residuals
     # of a static law the noise of its inputs is in what is left, here more and there less
-    if found.normality < DOUBTFUL and found.kurtosis > 0.0 and not equation.chain.static:
+    if found.normality < text.DOUBTFUL and found.kurtosis > 0.0 and not equation.chain.static:
         yield "what is left has heavy tails: try --tails student"
     # errors of a derivative that is estimated are smooth where the motion is: tests of a law that is found say more
     tested = equation.chain.measured[-1] is None and equation.verdict.kind == "found"
-    if found.driver is not None and found.driver.p_value < DOUBTFUL and not tested:
+    if found.driver is not None and found.driver.p_value < text.DOUBTFUL and not tested:
         yield printable(f"what is left follows {found.driver}: a term with it may be missing, or it is delayed")
-    yield from map(printable, (*forms_of(equation), *equation.at_ends))
+    yield from map(printable, (*text.forms_of(equation), *equation.at_ends))
     for left in equation.left_out:
         yield printable(f"likely, but left out ({left.reason}): {left.name}, probability {left.pip:.3f}")
 
@@ -229,7 +204,13 @@ PARAMETERS = ("parameter", "value", "95 % interval", "unit", "meaning")
 def plot_terms(eq: Answer, ax: Any = None) -> list[Axes]:
     """Inclusion probabilities, coefficients and intervals, an equation in each of the axes."""
     score = ENGINES[eq.method].score
-    bars = {equation.target: list(map(_bar, _listed(equation))) for equation in eq.equations}
+    bars = {
+        equation.target: [
+            (row.name, row.pip, f"{row.coefficient}  ({row.interval})" if row.coefficient else "")
+            for row in _listed(equation)
+        ]
+        for equation in eq.equations
+    }
     with style():
         axes = axes_for(ax, [AROUND + BAR * max(len(rows), 3) for rows in bars.values()], FIGURE_WIDTH, pyplot=True)
         for one, (target, rows) in zip(axes, bars.items(), strict=True):
@@ -246,16 +227,11 @@ def plot_run(run: Forecast, ax: Any = None) -> list[Axes]:
     return axes
 
 
-def _listed(equation: Equation) -> list[Row]:
+def _listed(equation: Equation) -> list[text.Row]:
     """Terms of the equation, then the likeliest others."""
-    *rows, _ = rows_of(equation)
+    *rows, _ = text.rows_of(equation)
     others = sorted((row for row in rows if row.absent and row.pip >= NOTEWORTHY_PIP), key=lambda row: -row.pip)
     return [*(row for row in rows if row.coefficient and row.score), *others[:MOST_OTHERS]]
-
-
-def _bar(row: Row) -> tuple[str, float, str]:
-    """Term, probability, and coefficient with its interval."""
-    return row.name, row.pip, f"{row.coefficient}  ({row.interval})" if row.coefficient else ""
 
 
 def as_html(eq: Answer) -> str:
@@ -263,7 +239,13 @@ def as_html(eq: Answer) -> str:
     parts = [paragraph(f"verdict: {eq.verdict.kind}: {sentence(eq)}", strong=True)]
     header = (*HEADER, ENGINES[eq.method].score, "unit")
     for equation in eq.equations:
-        terms = _rows(equation)
+        terms = [
+            (row.name, row.coefficient or "not in it", row.sd, row.interval, row.score, row.unit)
+            for row in _listed(equation)
+        ]
+        if equation.intercept_matters:
+            constant = text.rows_of(equation)[-1]
+            terms.append(("1", constant.coefficient, constant.sd, constant.interval, "", constant.unit))
         width = len(header) if any(row[-1] for row in terms) else len(header) - 1
         parts += [code(equation.text), table(header[:width], [row[:width] for row in terms])]
     physical = own_parameters(eq)
@@ -271,14 +253,3 @@ def as_html(eq: Answer) -> str:
         law = law_in_symbols(eq, physical)
         parts += [*([] if law is None else [code(law)]), table(PARAMETERS, tabled_parameters(physical), (0, 4))]
     return join(*parts, paragraph(checks(eq)), items([f"warning: {message}" for message in eq.warnings]))
-
-
-def _rows(equation: Equation) -> list[tuple[str, ...]]:
-    rows: list[tuple[str, ...]] = [
-        (row.name, row.coefficient or "not in it", row.sd, row.interval, row.score, row.unit)
-        for row in _listed(equation)
-    ]
-    constant = rows_of(equation)[-1]
-    if equation.intercept_matters:
-        rows.append(("1", constant.coefficient, constant.sd, constant.interval, "", constant.unit))
-    return rows

@@ -180,6 +180,9 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
     exact = 1.0 - (equation.error_probability or 0.0)
     gains = zip(equation.chain.measured, equation.unit_gains, strict=False)
     reversed_channel = next((name for name, gain in gains if name is not None and gain < 0.0), None)
+    left, dependent = equation.residuals, None
+    if regression.counts_rows and equation.train.nrmse > LEAST_SHOWN and left.n_eff < EQUATION.independent * left.n:
+        dependent = left.n_eff, left.n  # of rows as measured most do not tell anything new
     verdict = doubted(
         equation.verdict,
         equation.chain,
@@ -190,19 +193,12 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
         exact,
         equation.error_share,
         reversed_channel,
-        _dependent(equation, regression),
+        dependent,
     )
     if equation.posterior.converged or verdict.kind in ("none", "not determined"):
         return verdict
     reason = f"{equation.posterior.method} did not converge: probabilities of terms may be off"
     return Verdict("not determined", reason, "give fewer candidate terms, or compare with another method")
-
-
-def _dependent(equation: Equation, regression: Regression) -> tuple[float, int] | None:
-    """Effective number of residuals of rows as measured, and their number, where most do not tell anything new."""
-    found = equation.residuals
-    matters = regression.counts_rows and equation.train.nrmse > LEAST_SHOWN
-    return (found.n_eff, found.n) if matters and found.n_eff < EQUATION.independent * found.n else None
 
 
 def _runners_up(fit: RegressionFit, posterior: Posterior) -> tuple[RunnerUp, ...]:

@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 
 from bayeq.arrays import Bools, Floats
 from bayeq.dictionary.ranges import ConstantEstimate, Forms
-from bayeq.equation.intervals import Model, OverModels, around, cut, over_models, unlike
+from bayeq.equation import written
+from bayeq.equation.intervals import Model, OverModels, cut, over_models, unlike
 from bayeq.equation.sensitivity import (
     PipCurve,
     PriorSensitivity,
@@ -22,16 +23,6 @@ from bayeq.equation.sensitivity import (
 )
 from bayeq.equation.size_path import ParsimonyPath, parsimony_path
 from bayeq.equation.verdict import Verdict
-from bayeq.equation.written import (
-    at_end,
-    constant_units,
-    factor_of,
-    odds_text,
-    quotient_unit,
-    round_to,
-    row_of,
-    with_interval,
-)
 from bayeq.errors import InputError
 from bayeq.export.functions import Uncertainty, sum_in_latex
 from bayeq.expressions import Evaluator, Expression, to_sympy
@@ -70,7 +61,7 @@ class RunnerUp:
     @property
     def odds(self) -> str:
         """The odds as text: ``1:7`` against, ``2:1`` for."""
-        return odds_text(self.log_odds)
+        return written.odds_text(self.log_odds)
 
     def __str__(self) -> str:
         if self.leaves and self.enters:
@@ -221,7 +212,7 @@ class Equation:
     def at_ends(self) -> tuple[str, ...]:
         """What is to be said of constants at the ends of the ranges in which they were sought."""
         units = self.constant_units
-        return tuple(text for one in self.shown_constants for text in at_end(one, units.get(one.name, "")))
+        return tuple(text for one in self.shown_constants for text in written.at_end(one, units.get(one.name, "")))
 
     @property
     def shown(self) -> tuple[str, ...]:
@@ -242,12 +233,12 @@ class Equation:
     def coef_units(self) -> tuple[str | None, ...]:
         """Unit of each candidate's coefficient; None where a unit is not known. Those of the intercept are y's."""
         units = {**self.units, **{f"{{{name}}}": unit for name, unit in self.constant_units.items()}}
-        return tuple(quotient_unit(self.target, term, units) for term in self.terms)
+        return tuple(written.quotient_unit(self.target, term, units) for term in self.terms)
 
     @cached_property
     def constant_units(self) -> dict[str, str]:
         """Unit of each constant inside the terms, by its place there; those that are not known are left out."""
-        return constant_units(self.terms, self.units)
+        return written.constant_units(self.terms, self.units)
 
     def with_posterior(self, posterior: Posterior, **changes: Any) -> Equation:
         """The equation with other coefficients of the terms shown; of the included terms too, where these are the same.
@@ -307,8 +298,10 @@ class Equation:
     def _given_in(self) -> Floats:
         """95 % intervals over the models that hold a term, (P, 2), beside constants around those joint with these."""
         given = None if self.shown_posterior.averaged_coef is None else self.over_models.given_in
-        given = self.shown_ci95 if given is None else given
-        return around(given, self.shown_ci95) if self.shown_constants else given
+        given, own = self.shown_ci95 if given is None else given, self.shown_ci95
+        if self.shown_constants:
+            given = np.column_stack([np.minimum(given[:, 0], own[:, 0]), np.maximum(given[:, 1], own[:, 1])])
+        return given
 
     @cached_property
     def printed_over_models(self) -> Bools:
@@ -387,7 +380,7 @@ class Equation:
         )
         if not self.shown_constants:
             return out
-        rows = [row_of(one, self.constant_units.get(one.name)) for one in self.shown_constants]
+        rows = [written.row_of(one, self.constant_units.get(one.name)) for one in self.shown_constants]
         return pd.concat([out, pd.DataFrame(rows).reindex(columns=out.columns)], ignore_index=True)
 
     @property
@@ -404,9 +397,9 @@ class Equation:
             return f"{self.target} = {self.chain.law}"
         pieces: list[str] = []
         for value, sd, term in self.summands:
-            number = round_to(value, sd)
+            number = written.round_to(value, sd)
             sign, size = ("-", number[1:]) if number.startswith("-") else ("+", number)
-            body = size if term is None else f"{size}*{factor_of(term.text)}"
+            body = size if term is None else f"{size}*{written.factor_of(term.text)}"
             pieces.append(f"{sign} {body}" if pieces else (f"-{body}" if sign == "-" else body))
         return f"{self.target} = {' '.join(pieces) or '0'}"
 
@@ -424,7 +417,7 @@ class Equation:
         p, ends = self.shown_posterior, self.printed_ci95
         rows = []
         for j in np.flatnonzero(p.support):
-            number, _, interval = with_interval(p.coef[j], p.sd[j], ends[j])
+            number, _, interval = written.with_interval(p.coef[j], p.sd[j], ends[j])
             rows.append(
                 (self.terms[j].text, number, interval, f"{self.posterior.pip[j]:.3f}", self.coef_units[j] or "")
             )
@@ -450,12 +443,12 @@ class Equation:
             raise InputError(f"uncertainty must be one of {', '.join(get_args(Uncertainty))}, got {uncertainty!r}")
         base = sympy.latex(sympy.Symbol(self.chain.names[0]))
         dots = [base, rf"\dot{{{base}}}", rf"\ddot{{{base}}}", rf"\dddot{{{base}}}", rf"\ddddot{{{base}}}"]
-        written = dict(zip(self.chain.names, dots, strict=False))
+        symbols = dict(zip(self.chain.names, dots, strict=False))
         if self.chain.discrete:
-            written = {
+            symbols = {
                 name: step_latex(name) for name in {self.target, *(n for term in self.terms for n in term.names)}
             }
-        names = {sympy.Symbol(name): text for name, text in written.items()}
+        names = {sympy.Symbol(name): text for name, text in symbols.items()}
         if uncertainty == "none":
             right = sympy.latex(self._right_hand_side(rounded=True), symbol_names=names)
         else:
@@ -465,14 +458,14 @@ class Equation:
                 text = "" if term is None else sympy.latex(factor, symbol_names=names)
                 parts.append((value, sd, rf"\left({text}\right)" if factor.is_Add else text))
             right = sum_in_latex(parts, uncertainty)
-        return f"{written[self.target]} = {right}"
+        return f"{symbols[self.target]} = {right}"
 
     def _right_hand_side(self, rounded: bool) -> Any:
         import sympy
 
         total = sympy.Integer(0)
         for value, sd, term in self.summands:
-            number = sympy.Float(float(round_to(value, sd)) if rounded else value)
+            number = sympy.Float(float(written.round_to(value, sd)) if rounded else value)
             total += number if term is None else number * to_sympy(term.named() if rounded else term)
         return total
 

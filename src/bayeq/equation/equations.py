@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from bayeq.equation.answer import Answer
-from bayeq.equation.equation import Equation
 from bayeq.errors import DataWarning, FileFormatError, InputError, as_path
 from bayeq.forecast.score import Scores
 from bayeq.records import Record, with_row_numbers
@@ -119,7 +118,7 @@ class Equations(Answer):
         """
         from bayeq.equation.along import predictions
 
-        (record,) = self._prepared(self._timed([record], "predict"))
+        (record,) = self._prepared([record], "predict")
         return predictions(self, record, return_std)
 
     def motion(self, record: Record) -> MotionRows:
@@ -146,7 +145,7 @@ class Equations(Answer):
         DataWarning
             As `predict`.
         """
-        (record,) = self._prepared(self._timed([record], "motion"))
+        (record,) = self._prepared([record], "motion")
         return estimate_motion([record], self.roles, self.smooth, sensors=self.data.sensors).records[0]
 
     def simulate(
@@ -196,11 +195,11 @@ class Equations(Answer):
             As `predict`, where all channels of the chains are in the record: without them nobody can tell a blow of an
             input from a spike.
         """
-        from bayeq.equation.along import free_run
+        from bayeq.equation.along import free_run, prepared
 
         (record,) = self._timed([record], "simulate")
         if all(name in record.channels for name in self.roles.channels):
-            (record,) = self._prepared([record])
+            (record,) = prepared(self, [record])
         return free_run(
             self, record, initial=initial, draws=draws, seed=seed, start=start, rows=rows, interpolation=interpolation
         )
@@ -243,7 +242,7 @@ class Equations(Answer):
         from bayeq.equation.along import scores
 
         # rows that are named are counted in whole records
-        pieces = self._prepared(self._timed(_as_list(records, "score"), "score"), divide=start is None)
+        pieces = self._prepared(_as_list(records, "score"), "score", divide=start is None)
         return scores(self, pieces, start=start, rows=rows, interpolation=interpolation)
 
     def refine(
@@ -316,11 +315,11 @@ class Equations(Answer):
             return [in_samples(record, self.roles) for record in records]
         return with_row_numbers(records) if self.data.rows_as_time else list(records)
 
-    def _prepared(self, records: Sequence[Record], divide: bool = False) -> list[Record]:
+    def _prepared(self, records: Sequence[Record], purpose: str, divide: bool = False) -> list[Record]:
         """Records without bad samples; what `discover` has said of them is not said again."""
         from bayeq.equation.along import prepared
 
-        return prepared(records, self.roles, self.smooth, self.warnings, divide, level=4)
+        return prepared(self, self._timed(records, purpose), divide, level=4)
 
     def plan(
         self,
@@ -405,7 +404,8 @@ class Equations(Answer):
             self.data.measured,
             self.states,
             self.inputs,
-            {equation.target: _white_noise(equation) for equation in self.equations},
+            # of white noise that hides as much as the residuals, which may be correlated in time
+            {one.target: one.noise_sd * sqrt(one.residuals.n / one.residuals.n_eff) for one in self.equations},
             amplitude=amplitude,
             band=band,
             seconds=seconds,
@@ -457,7 +457,7 @@ class Equations(Answer):
         InputError
             An equation that is not of second order, or without a restoring term; a record whose time is not known.
         """
-        from bayeq.equation.oscillator import oscillator_parameters
+        from bayeq.equation.physical import oscillator_parameters
 
         return oscillator_parameters(self, mass, target=target, force=force, draws=draws, seed=seed)
 
@@ -585,11 +585,6 @@ class Equations(Answer):
 
     def __repr__(self) -> str:
         return f"<Equations: {'; '.join(equation.text for equation in self.equations)}>"
-
-
-def _white_noise(equation: Equation) -> float:
-    """Standard deviation of white noise that hides as much as the residuals, which may be correlated in time."""
-    return equation.noise_sd * sqrt(equation.residuals.n / equation.residuals.n_eff)
 
 
 def _as_list(records: Record | Sequence[Record], purpose: str) -> list[Record]:

@@ -34,17 +34,16 @@ def explanation(eq: Answer, conditional: bool = False) -> str:
     for equation in eq.equations:
         if len(eq.equations) > 1:
             paragraphs.append(f"The equation of {equation.target}")
-        paragraphs += _of_equation(equation, eq, conditional)
+        paragraphs += _of_terms(equation, ENGINES[eq.method].score)
+        paragraphs += _of_intervals(equation, conditional)
+        paragraphs += _of_fits(equation, eq)
+        paragraphs += _of_residuals(equation)
+        paragraphs += _of_others(equation)
     paragraphs += _of_data(eq)
     return "\n\n".join(textwrap.fill(text, WIDTH, break_long_words=False) for text in paragraphs)
 
 
-def _of_equation(equation: Equation, eq: Answer, conditional: bool) -> Iterator[str]:
-    score = ENGINES[eq.method].score
-    yield from _of_terms(equation, score)
-    yield from _of_intervals(equation, conditional)
-    yield from _of_fits(equation, eq)
-    yield from _of_residuals(equation)
+def _of_others(equation: Equation) -> Iterator[str]:
     if equation.undetermined and equation.bound is not None:
         yield (
             f"too small to be seen here: {equation.undetermined[0]} and the like do not show in this record, whether"
@@ -110,8 +109,8 @@ def _of_intervals(equation: Equation, conditional: bool) -> Iterator[str]:
         )
     if not conditional and (equation.printed_over_models.any() or equation.intercept_over_models):
         yield (
-            f"{MARK}: which other terms are in the law is not certain, and the coefficient depends on it; this interval"
-            " allows for all of these equations, and is wider for it."
+            f"{MARK}: which other terms are in the law is not certain, and the coefficient depends on it; this"
+            " interval allows for all of these equations, and is wider for it."
         )
 
 

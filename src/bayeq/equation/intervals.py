@@ -132,11 +132,6 @@ def unlike(one: Floats, other: Floats) -> Bools:
     return np.maximum(ends, np.abs(one[:, 1] - one[:, 0] - width)) > EQUATION.different * width
 
 
-def around(one: Floats, other: Floats) -> Floats:
-    """The shortest intervals that hold both, (P, 2)."""
-    return np.column_stack([np.minimum(one[:, 0], other[:, 0]), np.maximum(one[:, 1], other[:, 1])])
-
-
 def draws_of(fit: RegressionFit, posterior: Posterior, draws: int, seed: int) -> Any:
     """As `bayeq.equation.equations.Equations.to_arviz`, of one equation's regression and posterior."""
     from bayeq.adapters.arviz import to_arviz

@@ -18,7 +18,6 @@ from typing import Any, get_args, get_origin, get_type_hints
 import numpy as np
 
 from bayeq.arrays import Bools, Floats
-from bayeq.dictionary.ranges import ConstantEstimate
 from bayeq.equation.answer import DataSummary, EquationTuple, HiddenState, with_shown
 from bayeq.equation.equation import Equation
 from bayeq.equation.equations import Equations
@@ -28,12 +27,10 @@ from bayeq.equation.to_json import FORMAT
 from bayeq.errors import BayeqError, FileFormatError, as_path
 from bayeq.expressions import Unknown, parse
 from bayeq.expressions.functions import TIME
-from bayeq.forecast.score import Scores
 from bayeq.inference.posterior import LARGEST, ModelAverage, Posterior
 from bayeq.numerics.distributions import Z95
 from bayeq.records.io import near_files
 from bayeq.records.validate import check_name
-from bayeq.regression.design import DroppedTerm
 from bayeq.states import Chain, Roles, check_sensors
 from bayeq.states.roles import NEXT
 
@@ -93,22 +90,27 @@ def restored(content: Saved, where: str) -> Equations:
         raise FileFormatError(f"{where}: damaged: {error}") from error
 
 
+# Of a posterior given its terms, beside the coefficients and their covariance.
+GIVEN_TERMS = ("noise_variance", "center", "target_mean", "target_mean_variance", "freedom")
+
 _hints = cache(get_type_hints)
 
 
 def _value(kind: Any, saved: Any) -> Any:
-    """A saved entry as a field of this annotation."""
+    """A saved entry as a field of this annotation; null stands for infinity where None is no value of it."""
     inside, origin = get_args(kind), get_origin(kind)
     if NoneType in inside:
         return None if saved is None else _value(inside[0], saved)
     if origin is np.ndarray:
-        return np.array(saved, dtype=get_args(inside[1])[0])
+        return np.array([math.inf if item is None else item for item in saved], dtype=get_args(inside[1])[0])
     if origin is tuple:
         return tuple(_value(inside[0], item) for item in saved)
     if origin is Mapping:
         return {name: _value(inside[1], item) for name, item in saved.items()}
     if isinstance(kind, type) and is_dataclass(kind):
         return kind(**_fields(kind, saved))
+    if kind is float and saved is None:
+        return math.inf
     return kind(saved) if kind in (int, float) else saved
 
 
@@ -137,14 +139,13 @@ def _restore(content: Saved) -> Equations:
     check_sensors({**summary.sensors.noise, **summary.sensors.of_reading}, summary.sensors.gain_sd, roles, late)
     if summary.band is not None and not summary.band[0] < summary.band[1]:
         raise ValueError("a band of {!r} to {!r} Hz".format(*summary.band))
+    noted = ("dropped", "warnings", "constraints", "scores", "refined")
     found = Equations(
         equations=EquationTuple(equations),
         data=summary,
-        dropped=tuple(DroppedTerm(**_fields(DroppedTerm, one)) for one in diagnostics["dropped_terms"]),
-        scores=_restored_scores(diagnostics.get("scores")),
         **_fields(Equations, content, "method"),
         **_fields(Equations, data, "inputs", "dictionary", "smooth"),
-        **_fields(Equations, diagnostics, "warnings", "constraints", "refined"),
+        **_fields(Equations, {**diagnostics, "dropped": diagnostics["dropped_terms"]}, *noted),
         hidden=tuple(
             HiddenState(one["state"], _log_odds(one, roles.states), one.get("stated", True))
             for one in content.get("hidden", ())
@@ -170,17 +171,6 @@ def _log_odds(saved: Saved, states: Sequence[str]) -> float:
     """Those that are not finite are saved as null: for the equations where these have the hidden state."""
     odds: float | None = saved["log_odds_without"]
     return odds if odds is not None else -math.inf if saved["state"] in states else math.inf
-
-
-def _restored_scores(saved: Saved | None) -> Scores | None:
-    if saved is None:
-        return None
-
-    errors = {
-        kind: {name: math.inf if error is None else error for name, error in saved[kind].items()}
-        for kind in ("one_step", "free_run")
-    }
-    return Scores(**_fields(Scores, {**saved, **errors}))
 
 
 def _restored_equation(content: Saved, k: int, chain: Chain, names: Sequence[str]) -> Equation:
@@ -212,9 +202,9 @@ def _restored_equation(content: Saved, k: int, chain: Chain, names: Sequence[str
             given_in=column("printed_ci95"),
             **_fields(OverModels, {"intercept": saved.get("intercept_printed_ci95")}),
         ),
-        constants=tuple(ConstantEstimate(**_fields(ConstantEstimate, one)) for one in constants),
-        forms=saved.get("forms", {}),
-        **_fields(Equation, saved, "verdict", "undetermined", "unit_gains", "error_probability", "tau"),
+        **_fields(
+            Equation, saved, "verdict", "undetermined", "unit_gains", "error_probability", "tau", "constants", "forms"
+        ),
         **_fields(Equation, state, "models"),
         **_fields(Equation, checks["fit"], "train", "held_out"),
         **_fields(Equation, checks, "residuals", "runners_up", "left_out"),
@@ -226,19 +216,24 @@ def _restored_posterior(method: str, names: tuple[str, ...], saved: Saved, state
     support = np.array([term["included"] for term in saved["terms"]], dtype=np.bool_)
     left_out = None if saved.get("intercept_included", True) else (saved["intercept"], saved["intercept_sd"])
     columns = ("pip", "coef", "averaged_coef", "averaged_sd", "likelihood_coef", "likelihood_sd")
-    known = ("center", "target_mean", "noise_variance", "target_mean_variance", "elbo_trace", "n_iter")
+    average, listed = None, state["average"]
+    if listed is not None:
+        average = ModelAverage(
+            models=np.array([_indicator(model, len(names)) for model in listed["models"]], dtype=np.bool_),
+            covariance=_square(listed["covariance"]),
+            **_fields(ModelAverage, listed, "probability", "left_out", "terms"),
+        )
     return Posterior(
         method=method,
         names=names,
         support=support,
         covariance=_square(state["covariance"]),
         n=state["n"],
-        freedom=_restored_freedom(state),
         optimum=None if state["optimum"] is None else _indicator(state["optimum"], len(names)),
         left_out_intercept=left_out,
-        average=None if state["average"] is None else _restored_average(state["average"], len(names)),
+        average=average,
         **{name: _column(saved["terms"], name) for name in columns},
-        **_fields(Posterior, state, *known),
+        **_fields(Posterior, state, *GIVEN_TERMS, "elbo_trace", "n_iter"),
         **_fields(Posterior, checks, "converged", "slab_variance", "rhat"),
         **_fields(Posterior, saved, "elbo", "intercept_pip", "error_share", "error_sd", "error_lines"),
     )
@@ -254,23 +249,8 @@ def _restored_shown(like: Posterior, terms: Sequence[Saved], saved: Saved | None
         support=support,
         coef=np.array([term["shown_coef"] if term["shown"] else 0.0 for term in terms], dtype=np.float64),
         covariance=_square(saved["covariance"]),
-        freedom=_restored_freedom(saved),
-        **_fields(Posterior, saved, "noise_variance", "center", "target_mean", "target_mean_variance"),
+        **_fields(Posterior, {"freedom": None, **saved}, *GIVEN_TERMS),
     )
-
-
-def _restored_average(saved: Saved, terms: int) -> ModelAverage:
-    return ModelAverage(
-        models=np.array([_indicator(model, terms) for model in saved["models"]], dtype=np.bool_),
-        covariance=_square(saved["covariance"]),
-        **_fields(ModelAverage, saved, "probability", "left_out", "terms"),
-    )
-
-
-def _restored_freedom(saved: Saved) -> Floats | None:
-    """Degrees of freedom; None stands for infinitely many."""
-    freedom = saved.get("freedom")
-    return None if freedom is None else np.array([math.inf if value is None else value for value in freedom])
 
 
 def _square(rows: Sequence[Sequence[float]]) -> Floats:
@@ -296,16 +276,11 @@ def _check_restored(equation: Equation) -> None:
 
     ValueError for numbers too large to compute with, BayeqError for units that cannot be read.
     """
-    posteriors = [equation.posterior, equation.shown_posterior]
+    ends = [np.array([*equation.intercept_ci95, *equation.printed_intercept_ci95])]
     with np.errstate(all="ignore"):
-        finite = all(map(_is_finite, posteriors))
-        ends = np.array([*equation.intercept_ci95, *equation.printed_intercept_ci95])
-        finite = finite and bool((np.abs(ends) <= LARGEST).all())
-    if not finite:
+        for p in (equation.posterior, equation.shown_posterior):
+            ends.append(np.abs([*p.coef, p.intercept]) + Z95 * np.array([*p.sd, p.intercept_sd]))
+            ends.append(np.array([0.0 if math.isfinite(p.noise_variance) else math.inf]))
+    if not (np.abs(np.concatenate(ends)) <= LARGEST).all():
         raise ValueError(f"the equation of {equation.target} has numbers too large or too small to compute with")
     assert len(equation.coef_units) == len(equation.terms)
-
-
-def _is_finite(p: Posterior) -> bool:
-    ends = np.abs([*p.coef, p.intercept]) + Z95 * np.array([*p.sd, p.intercept_sd])
-    return bool((ends <= LARGEST).all()) and bool(np.isfinite(p.noise_variance))

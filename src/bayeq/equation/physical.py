@@ -1,11 +1,15 @@
-"""Physical parameters of an oscillator from its equation: m x'' + c x' + k x + ... = u.
+"""Physical parameters of whatever equations there are: of one oscillator, of first order, or of several coordinates.
 
-The coefficients of the equation of x'' are those of the forces over the mass: -k/m of x, -c/m of x', 1/m of the force,
--k3/m of x**3, -c2/m of x'|x'|, -Fc/m of sign(x'). Nonlinear functions of them have their intervals by draws.
+Of an oscillator, m x'' + c x' + k x + ... = u, the coefficients of the equation of x'' are those of the forces over the
+mass: -k/m of x, -c/m of x', 1/m of the force, -k3/m of x**3, -c2/m of x'|x'|, -Fc/m of sign(x'). A displacement need
+not be measured from the position of rest x_0, where without input all forces on the mass vanish: with x = x_0 + xi,
+theta x**p gives binomial(p, n) theta x_0**(p - n) of xi**n. What is called stiffness is that of small motion about it.
 
-A displacement need not be measured from the position of rest x_0, where without input all forces on the mass vanish:
-with x = x_0 + xi, theta x**p gives binomial(p, n) theta x_0**(p - n) of xi**n. What is called stiffness is that of
-small motion about it.
+Several coordinates have natural frequencies, damping ratios and mode shapes, and M, C, K where known. The linear part
+of their equations is ``x'' = A x + B x' + D u``. Its modes are the eigenvectors of ``[[0, I], [A, B]]``: an eigenvalue
+``lambda`` has the frequency ``|lambda|/2 pi`` and the damping ratio ``-Re(lambda)/|lambda|``. An input that drives one
+coordinate alone is its force, ``1/m`` its coefficient; other masses follow from the symmetry of the stiffness,
+``m_i A_ij = m_j A_ji``. Intervals are of draws of the coefficients' posterior.
 """
 
 from __future__ import annotations
@@ -19,9 +23,11 @@ import numpy as np
 
 from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
+from bayeq.equation.answer import Answer
 from bayeq.equation.written import OscillatorUnits, quotient_unit, with_interval
 from bayeq.errors import InputError, UnknownNameError, whole_number
 from bayeq.expressions import Binary, Expression, Node, Number, Symbol, parse
+from bayeq.figures.style import named
 from bayeq.forecast.dynamics import Dynamics, Law
 from bayeq.likelihood.signs import jumps_of
 from bayeq.markup import aligned
@@ -45,6 +51,13 @@ AT_ZERO = 1e-9
 
 # Draws that may have no position of rest.
 FEW = 0.025
+
+# Draws of parameters that nobody has asked for.
+DRAWS = 2000
+
+# Draws whose eigenvalues are taken, of one coordinate, and the least share of them that must have as many modes as the
+# mean.
+MOST_DRAWS, LEAST_SHARE = 4000, 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,6 +157,55 @@ class PhysicalParameters:
         return "\n".join(lines)
 
 
+def own_parameters(eq: Answer) -> PhysicalParameters | None:
+    """Physical parameters; None where the equations have none, or where none was found."""
+    if eq.verdict.kind == "none":
+        return None
+    try:
+        return oscillator_parameters(eq, None, target=None, force=None, draws=DRAWS, seed=0)
+    except InputError:
+        return None
+
+
+def oscillator_parameters(
+    eq: Answer, mass: float | None, *, target: str | None, force: str | None, draws: int, seed: int
+) -> PhysicalParameters:
+    """See `Equations.physical`."""
+    if eq.roles.discrete:
+        raise InputError("physical parameters are those of equations of motion, not of maps")
+    if eq.data.rows_as_time:
+        raise InputError(
+            "physical parameters are per second, and time is not known: give the sampling rate (fs=, --fs)"
+        )
+    if target is None:
+        second = [one.law for one in eq.equations if one.chain.order == 2]
+        if len(second) > 1 and len(second) == len(eq.equations) and mass is None and force is None:
+            return system_parameters(second, eq.inputs, eq.equations[0].units, draws=draws, seed=seed)
+        if all(one.chain.order == 1 for one in eq.equations):
+            laws = [one.law for one in eq.equations]
+            return first_order_parameters(laws, eq.inputs, eq.equations[0].units, draws=draws, seed=seed)
+        named_ones = [one.target for one in eq.equations if one.chain.order == 2]
+        if not named_ones:
+            raise InputError(
+                "physical parameters are those of a second-order equation, x'' = ...; here there are only"
+                f" {', '.join(f'{e.target} (order {e.chain.order})' for e in eq.equations)}"
+            )
+        if len(named_ones) > 1:
+            raise InputError(f"name one of the equations as target: {', '.join(named_ones)}")
+        (target,) = named_ones
+    equation = eq[named("equation", target, [one.target for one in eq.equations])]
+    name = equation.chain.names[0]
+    span = eq.data.measured.ranges.get(name)
+    if span and not span[0] <= 0.0 <= span[1] and equation.verdict.kind in ("none", "not determined"):
+        raise InputError(
+            f"the stiffness cannot be told: the verdict is {equation.verdict.kind!r}, and {name} is nowhere zero;"
+            f" measure {name} from the position of rest (bayeq.remove_offset, --remove-offset {name})"
+        )
+    return physical_parameters(
+        equation.law, eq.inputs, equation.units, mass=mass, force=force, span=span, draws=draws, seed=seed
+    )
+
+
 class Force(NamedTuple):
     """A term of the equation and the parameter that it holds: coefficient = -parameter/m."""
 
@@ -192,7 +254,12 @@ def physical_parameters(
     units that are not those of a motion and its derivatives, or not those of this motion.
     """
     coefficients, position = _read(law, draws, seed, span)
-    forces = _named_forces(law.chain, coefficients)
+    forces = [force for force in forces_of(law.chain) if force.term in coefficients]
+    if not forces:
+        raise InputError(
+            f"the equation of {law.chain.target} has neither a restoring term (a power of {law.chain.states[0]}) nor"
+            " damping: it has no parameters of an oscillator or a drive"
+        )
     driven = _force(inputs, coefficients, force)
     system = OscillatorUnits(units, law.chain, law.unit_gains, driven, mass is not None)
     theta = {f.symbol: coefficients[f.term] * system.scale(f.powers) for f in forces}
@@ -271,17 +338,6 @@ def drawn_coefficients(law: Law, count: int, rng: np.random.Generator) -> tuple[
     return constant, dict(zip(alone.terms[0], columns, strict=True))
 
 
-def _named_forces(chain: Chain, coefficients: Mapping[str, Floats]) -> list[Force]:
-    """The forces among the terms."""
-    forces = [force for force in forces_of(chain) if force.term in coefficients]
-    if not forces:
-        raise InputError(
-            f"the equation of {chain.target} has neither a restoring term (a power of {chain.states[0]}) nor damping:"
-            " it has no parameters of an oscillator or a drive"
-        )
-    return forces
-
-
 def _force(inputs: Sequence[str], coefficients: Mapping[str, Floats], force: str | None) -> str | None:
     """The input that is the force: the only one that enters linearly, or the one named."""
     if force is not None:
@@ -331,6 +387,122 @@ def quantity(symbol: str, meaning: str, values: Floats, unit: str | None) -> Qua
     return Quantity(symbol, meaning, float(np.nanmean(values)), float(np.nanstd(values)), float(low), float(high), unit)
 
 
+def system_parameters(
+    laws: Sequence[Law], inputs: Sequence[str], units: Mapping[str, str], *, draws: int, seed: int
+) -> PhysicalParameters:
+    """Modes of the linear part of several equations of second order, with masses, stiffnesses and dampings as known.
+
+    There is a law per coordinate. Of at most 4000 draws over the number of coordinates the modes are taken. InputError
+    for equations without a mode that oscillates.
+    """
+    n = len(laws)
+    count = min(draws, max(MOST_DRAWS // n, 100))
+    forces = [next((u for u in inputs if u in _names(law)), None) for law in laws]
+    scales = [OscillatorUnits(units, law.chain, law.unit_gains, u) for law, u in zip(laws, forces, strict=True)]
+    states = [law.chain.states[0] for law in laws] + [law.chain.states[1] for law in laws]
+    per_state = np.concatenate([[1.0 / s.per_length for s in scales], [s.velocity / s.per_length for s in scales]])
+    linear, unexplained = np.zeros((count, n, 2 * n)), list[str]()
+    driven: dict[str, dict[int, Floats]] = {}
+    rng = np.random.default_rng(seed)
+    for i, (law, scale) in enumerate(zip(laws, scales, strict=True)):
+        for term, drawn in drawn_coefficients(law, count, rng)[1].items():
+            slope = _slope(term, states)
+            if slope is not None:
+                linear[:, i] += drawn[:, None] * slope * per_state * scale.per_length / scale.acceleration
+            elif term.text in inputs:
+                driven.setdefault(term.text, {})[i] = drawn * scale.scale_force()
+            elif term.text not in unexplained:
+                unexplained.append(term.text)
+    found, modes = _modes(linear, [law.chain.names[0] for law in laws])
+    found += _matrices(linear, driven, laws, scales)
+    return PhysicalParameters(tuple(found), tuple(unexplained), tuple(modes))
+
+
+def _names(law: Law) -> set[str]:
+    return {name for term, kept in zip(law.terms, law.posterior.support, strict=True) if kept for name in term.names}
+
+
+def _slope(term: Expression, states: Sequence[str]) -> Floats | None:
+    """Derivatives of a term that is linear in the states; None of another."""
+    if not term.names <= set(states):
+        return None
+    rng, size = np.random.default_rng(0), len(states)
+    points = np.vstack([np.eye(size), rng.standard_normal((8, size))])
+    with np.errstate(all="ignore"):
+        values = evaluate_terms([term], {name: points[:, k] for k, name in enumerate(states)})[:, 0]
+    slope = values[:size]
+    same = np.allclose(points @ slope, values, rtol=1e-9, atol=1e-9 * float(np.abs(slope).max(initial=0.0)))
+    return np.asarray(slope) if same and np.isfinite(values).all() else None
+
+
+def _modes(linear: Floats, names: Sequence[str]) -> tuple[list[Quantity], list[Mode]]:
+    """Frequency, damping ratio and shape of each mode that oscillates, the slowest first."""
+    count, n = linear.shape[:2]
+    whole = np.zeros((count + 1, 2 * n, 2 * n))
+    whole[:, :n, n:] = np.eye(n)
+    whole[:, n:] = np.concatenate([linear.mean(axis=0)[None], linear])
+    values, vectors = np.linalg.eig(whole)
+    order = np.argsort(np.where(values.imag > 0.0, np.abs(values), np.inf), axis=1)
+    values = np.take_along_axis(values, order, axis=1)
+    vectors = np.take_along_axis(vectors[:, :n], order[:, None, :], axis=2)
+    counts = (values.imag > 0.0).sum(axis=1)
+    same = counts == counts[0]
+    if not counts[0] or same[1:].mean() < LEAST_SHARE:
+        raise InputError("the linear part of the equations has no modes that oscillate: no natural frequencies")
+    values, vectors, out, modes = values[same], vectors[same], list[Quantity](), list[Mode]()
+    for k in range(int(counts[0])):
+        omega, number = np.abs(values[1:, k]), k + 1
+        largest = int(np.argmax(np.abs(vectors[0, :, k])))
+        shape = (vectors[1:, :, k] / vectors[1:, largest, k, None]).real
+        frequency = quantity(f"f_{number}", f"natural frequency of mode {number}", omega / (2.0 * math.pi), "Hz")
+        ratio = quantity(f"zeta_{number}", f"damping ratio of mode {number}", -values[1:, k].real / omega, "")
+        modes.append(Mode(frequency, ratio, dict(zip(names, shape.mean(axis=0).tolist(), strict=True))))
+        out += [frequency, ratio]
+        out += [
+            quantity(f"phi_{number}[{names[i]}]", f"mode {number}, {names[i]} over {names[largest]}", shape[:, i], "")
+            for i in range(n)
+            if i != largest
+        ]
+    return out, modes
+
+
+def _matrices(
+    linear: Floats, driven: Mapping[str, Mapping[int, Floats]], laws: Sequence[Law], scales: Sequence[OscillatorUnits]
+) -> list[Quantity]:
+    """Masses, and the rows of stiffness and damping of coordinates whose mass is known."""
+    n = len(laws)
+    masses: dict[int, Floats] = {}
+    for by_equation in driven.values():
+        if len(by_equation) == 1:
+            ((i, per_force),) = by_equation.items()
+            if np.quantile(per_force, 0.025) > 0.0:
+                masses[i] = 1.0 / per_force
+    unit = next((scales[i].mass() for i in masses), None)
+    known = list(masses)
+    for i in known:  # grows: masses follow from one another by symmetry
+        for j in range(n):
+            there, back = linear[:, i, j], linear[:, j, i]
+            if j not in masses and (_known(there) and _known(back) and np.all(there * back > 0.0)):
+                masses[j] = masses[i] * there / back
+                known.append(j)
+    out = [quantity(f"m_{i + 1}", f"mass of {laws[i].chain.names[0]}", masses[i], unit) for i in sorted(masses)]
+    for symbol, what, first, powers in (("k", "stiffness", 0, (1, 0)), ("c", "damping", n, (0, 1))):
+        for i in sorted(masses):
+            for j in range(n):
+                values = -masses[i] * linear[:, i, first + j]
+                if (j >= i or j not in masses) and np.any(values):
+                    # of coordinates without a force that of one with
+                    own = next((s.unit(powers, True) for s in (scales[i], *scales) if s.force is not None), None)
+                    out.append(quantity(f"{symbol}_{i + 1}{j + 1}", f"{what}, row {i + 1}", values, own))
+    return out
+
+
+def _known(values: Floats) -> bool:
+    """Whether draws are clearly not zero."""
+    low, high = np.quantile(values, [0.025, 0.975])
+    return bool(low > 0.0 or high < 0.0)
+
+
 def _is_displaced(
     coefficients: Mapping[Expression, Floats], constant: bool, x: str, v: str, span: tuple[float, float]
 ) -> bool:
@@ -358,6 +530,10 @@ def _about_rest(
     alone = {term: values for term, values in coefficients.items() if term.names == {x}}
     width = span[1] - span[0]
     low, high = span[0] - BEYOND * width, span[1] + BEYOND * width
+    not_at_rest = InputError(
+        f"the equation has no certain position of rest near the record's range of {x}, {span[0]:.4g} to {span[1]:.4g}:"
+        f" measure {x} from the position of rest (bayeq.remove_offset, --remove-offset {x}) and look again"
+    )
 
     def force(position: Floats, thetas: Mapping[Expression, Floats], level: Floats) -> Floats:
         columns = evaluate_terms(list(thetas), {x: position})
@@ -368,7 +544,7 @@ def _about_rest(
     along = force(places, mean, np.asarray(constant.mean()))
     stable = np.flatnonzero((along[:-1] > 0.0) & (along[1:] <= 0.0))
     if not len(stable):
-        raise _not_at_rest(x, span)
+        raise not_at_rest
     nearest = places[stable[np.argmin(np.abs(places[stable] - 0.5 * (span[0] + span[1])))]]
     position, step = np.full(len(constant), nearest), STEP * width
 
@@ -382,7 +558,7 @@ def _about_rest(
     position = np.where((position > low) & (position < high), position, np.nan)
     position = np.where(np.abs(position) > AT_ZERO * width, position, 0.0 * position)
     if np.isnan(position).mean() > FEW:
-        raise _not_at_rest(x, span)
+        raise not_at_rest
 
     moved: dict[Expression, Floats] = {}
     others: dict[Expression, Floats] = {}
@@ -394,20 +570,15 @@ def _about_rest(
         p, q = powers
         for n in range(p + 1):
             if n + q > 0:
-                key = _monomial(x, n, v, q)
+                key = parse(
+                    "*".join(name if power == 1 else f"{name}**{power}" for name, power in ((x, n), (v, q)) if power)
+                )
                 moved[key] = moved.get(key, 0.0) + math.comb(p, n) * theta * position ** (p - n)
     bent = {term: theta for term, theta in others.items() if term in alone}
     if bent:
         key = parse(x)
         moved[key] = moved.get(key, 0.0) + slope(position, bent)
     return position, {**moved, **others}
-
-
-def _not_at_rest(x: str, span: tuple[float, float]) -> InputError:
-    return InputError(
-        f"the equation has no certain position of rest near the record's range of {x}, {span[0]:.4g} to {span[1]:.4g}:"
-        f" measure {x} from the position of rest (bayeq.remove_offset, --remove-offset {x}) and look again"
-    )
 
 
 def _powers(node: Node, x: str, v: str) -> tuple[int, int] | None:
@@ -422,8 +593,3 @@ def _powers(node: Node, x: str, v: str) -> tuple[int, int] | None:
             return None if one is None or other is None else (one[0] + other[0], one[1] + other[1])
         case _:
             return None
-
-
-def _monomial(x: str, p: int, v: str, q: int) -> Expression:
-    parts = [name if power == 1 else f"{name}**{power}" for name, power in ((x, p), (v, q)) if power]
-    return parse("*".join(parts))

@@ -250,11 +250,9 @@ def _check_posterior(state: Saved, terms: Sequence[Saved], place: str) -> None:
     for k, model in enumerate(state.get("models", ())):
         _check_places(model["members"], size, f"{place}.models[{k}].members")
         _check_length(model["coef"], len(model["members"]), f"{place}.models[{k}].coef")
-    if state["average"] is not None:
-        _check_average(state["average"], size, f"{place}.average")
-
-
-def _check_average(average: Saved, size: int, place: str) -> None:
+    average, place = state["average"], f"{place}.average"
+    if average is None:
+        return
     for k, model in enumerate(average["models"]):
         _check_places(model, size, f"{place}.models[{k}]")
     _check_length(average["probability"], len(average["models"]), f"{place}.probability")

@@ -120,19 +120,12 @@ def source_of(eq: Answer, short: bool = False) -> str:
         used = f"all used; fits{runs} on the last {eq.data.n_held_out} are those of the first {eq.data.n_train}"
     if short and eq.data.refitted and not eq.data.stretches:
         used = f"all used; checks are of the first {eq.data.n_train}"
-    rate = _rate(eq)
+    rate = ""  # and length of the records, as far as known
+    if eq.data.rows_as_time and not eq.roles.discrete:
+        rate = ", time not known"
+    elif not (eq.roles.discrete or eq.data.fs is None or eq.data.seconds is None):
+        rate = f" at {eq.data.fs:.6g} Hz, {eq.data.seconds:.4g} s"
     return f"{eq.data.n} rows{rate}{',' if rate and source else ''}{source}, {used}"
-
-
-def _rate(eq: Answer) -> str:
-    """Rate and length of the records, as far as known."""
-    if eq.roles.discrete:
-        return ""
-    if eq.data.rows_as_time:
-        return ", time not known"
-    if eq.data.fs is None or eq.data.seconds is None:
-        return ""
-    return f" at {eq.data.fs:.6g} Hz, {eq.data.seconds:.4g} s"
 
 
 def _render_equation(
@@ -154,12 +147,10 @@ def _render_equation(
     if rest:
         low = [p for p in equation.posterior.pip if p < NOTEWORTHY_PIP]
         console.print(f"\n{rest} more candidates not included, {score} at most {max(low, default=0.0):.2g}")
-    checks = _units(equation)
     if not equation.chain.hidden:
         console.print(f"noise sd {round_to(equation.noise_sd, equation.noise_sd / 50)}")
-        checks = [*checks, *_fits(equation), *_free_run(equation, scores), *_residuals(equation)]
     doubts = [*forms_of(equation), *equation.at_ends, *_differences(equation, score), *unseen(equation)]
-    for line in (*checks, *doubts):
+    for line in (*_checks(equation, scores), *doubts):
         console.print(escape(line))
     # of an equation that terms were left out of, the likelier ones are no runners-up
     runners_up = [r for r in equation.runners_up if not equation.left_out or r.log_odds <= 0]
@@ -224,7 +215,11 @@ def _print_table(
     console: Console, equation: Equation, rows: Sequence[Row], score: str, names: Mapping[str, str]
 ) -> None:
     """The table of terms, without units and shares of variance where a terminal is too narrow for them."""
-    extra, left_out, terminal = _extra_columns(equation), list[str](), console.is_terminal
+    left_out, terminal = list[str](), console.is_terminal
+    kept = np.flatnonzero(equation.shown_posterior.support)
+    # beside the numbers, where they are known
+    extra = ["share"] if equation.share is not None and len(kept) else []
+    extra += ["unit"] if any(equation.coef_units[j] for j in kept) else []
     zero = equation.shown_posterior.intercept == 0.0 and equation.intercept_estimate[1] < NOTHING
     while True:
         table = Table(box=box.SIMPLE_HEAD if terminal else box.MARKDOWN, pad_edge=True)
@@ -248,13 +243,6 @@ def _print_table(
         console.print(f"\n{' and '.join(left_out)}: not shown, for want of width")
 
 
-def _extra_columns(equation: Equation) -> list[str]:
-    """Columns of the table beside the numbers: shares of variance and units, where they are known."""
-    kept = np.flatnonzero(equation.shown_posterior.support)
-    out = ["share"] if equation.share is not None and len(kept) else []
-    return [*out, "unit"] if any(equation.coef_units[j] for j in kept) else out
-
-
 def unseen(equation: Equation, most: int = MOST_UNDETERMINED, advice: str = "") -> list[str]:
     """A line on terms that could matter elsewhere and are too small here, if there are any."""
     if not equation.undetermined or equation.bound is None:
@@ -265,37 +253,39 @@ def unseen(equation: Equation, most: int = MOST_UNDETERMINED, advice: str = "") 
     return [f"too small to be seen here: {', '.join(listed)}{f', {rest} more{advice}' if rest else ''}"]
 
 
-def _units(equation: Equation) -> list[str]:
-    """What the channels of a chain are to each other, where their units do not belong together."""
+def _checks(equation: Equation, scores: Scores | None) -> Iterator[str]:
+    """What channels are to each other whose units do not belong together; fits, the free run and residuals."""
     chain = equation.chain
     factors = rates(chain, equation.unit_gains)
-    if all(math.isclose(factor, 1.0) for factor in factors):
-        return []
-    links = zip(chain.names[:-1], factors, chain.names[1:], strict=True)
-    return [f"units of the channels: {', '.join(f'd{low}/dt = {factor:.6g} {high}' for low, factor, high in links)}"]
-
-
-def _fits(equation: Equation) -> list[str]:
-    out = []
+    if not all(math.isclose(factor, 1.0) for factor in factors):
+        links = zip(chain.names[:-1], factors, chain.names[1:], strict=True)
+        yield f"units of the channels: {', '.join(f'd{low}/dt = {factor:.6g} {high}' for low, factor, high in links)}"
+    if chain.hidden:
+        return
     for label, fit in (("training", equation.train), ("held-out", equation.held_out)):
         if fit is not None:
             error = 100 * fit.nrmse
             percent = f"{error:.0f}" if 10 <= error < 1e4 else f"{error:.2g}"
             r2 = f"{fit.r2:.4f}" if fit.r2 > -1e4 else f"{fit.r2:.2g}"
-            out.append(f"{label} rows ({fit.n}): R2 {r2}, normalised RMS error {percent} %")
-    return out
-
-
-def _free_run(equation: Equation, scores: Scores | None) -> list[str]:
-    """Errors of the states of an equation that is left to itself over the rows held out."""
-    if scores is None:
-        return []
-    if scores.blew_up_at is not None:
-        return [f"free run over the held-out rows: blew up at {moment(scores.blew_up_at, equation.chain.discrete)}"]
-    errors = {name: scores.free_run[name] for name in equation.chain.states if name in scores.free_run}
-    if not errors:  # no state is measured
-        return []
-    return [f"free run over the held-out rows: normalised RMS error {percentages(errors)}"]
+            yield f"{label} rows ({fit.n}): R2 {r2}, normalised RMS error {percent} %"
+    run = {} if scores is None else {name: scores.free_run[name] for name in chain.states if name in scores.free_run}
+    if scores is not None and scores.blew_up_at is not None:
+        yield f"free run over the held-out rows: blew up at {moment(scores.blew_up_at, chain.discrete)}"
+    elif run:  # a state is measured
+        yield f"free run over the held-out rows: normalised RMS error {percentages(run)}"
+    found, left = equation.residuals, left_beside_noise(equation)
+    shape = "no normal distribution" if found.normality < DOUBTFUL else "what is left looks like noise"
+    yield f"residuals: lag-1 autocorrelation {found.lag1:.2f}, effective sample size {found.n_eff:.0f} of {found.n}"
+    yield (
+        f"residuals: {shape} (skewness {found.skewness:.2f}, excess kurtosis {found.kurtosis:.2f},"
+        f" {_chance(found.normality)})"
+    )
+    if left is not None:
+        yield f"unexplained beside noise: {left} of the target's standard deviation"
+    if found.driver is not None and found.driver.p_value < DOUBTFUL:
+        yield f"residuals: follow {found.driver} ({_chance(found.driver.p_value)})"
+    elif found.driver is not None:
+        yield "residuals: follow no input or state at any lag"
 
 
 def left_beside_noise(equation: Equation) -> str | None:
@@ -304,23 +294,6 @@ def left_beside_noise(equation: Equation) -> str | None:
     if share is None:
         return None
     return f"{100 * share:.2g} %" if share > LEAST_SHOWN else f"less than {100 * LEAST_SHOWN:g} %"
-
-
-def _residuals(equation: Equation) -> list[str]:
-    found, left = equation.residuals, left_beside_noise(equation)
-    shape = "no normal distribution" if found.normality < DOUBTFUL else "what is left looks like noise"
-    lines = [
-        f"residuals: lag-1 autocorrelation {found.lag1:.2f}, effective sample size {found.n_eff:.0f} of {found.n}",
-        f"residuals: {shape} (skewness {found.skewness:.2f}, excess kurtosis {found.kurtosis:.2f},"
-        f" {_chance(found.normality)})",
-    ]
-    if left is not None:
-        lines.append(f"unexplained beside noise: {left} of the target's standard deviation")
-    if found.driver is not None and found.driver.p_value < DOUBTFUL:
-        lines.append(f"residuals: follow {found.driver} ({_chance(found.driver.p_value)})")
-    elif found.driver is not None:
-        lines.append("residuals: follow no input or state at any lag")
-    return lines
 
 
 def _chance(p: float) -> str:
@@ -357,21 +330,15 @@ def rows_of(equation: Equation, conditional: bool = False) -> list[Row]:
     """
     p, shown, rows = equation.posterior, equation.shown_posterior, list[Row]()
     intervals = equation.shown_ci95 if conditional else equation.printed_ci95
-    for j, term in enumerate(equation.terms):
+    for j, term in enumerate(() if equation.chain.stated else equation.terms):  # a law that was stated is all in
         pip = float(p.pip[j])
-        if equation.chain.stated:  # all of it is in
-            continue
         if shown.support[j]:
-            numbers, over_models = (
-                with_interval(shown.coef[j], shown.sd[j], intervals[j]),
-                equation.printed_over_models[j],
-            )
             share = math.nan if equation.share is None else equation.share[j]
             rows.append(
                 Row(
                     term.text,
-                    *numbers,
-                    over_models=bool(over_models) and not conditional,
+                    *with_interval(shown.coef[j], shown.sd[j], intervals[j]),
+                    over_models=bool(equation.printed_over_models[j]) and not conditional,
                     pip=pip,
                     share=percent(share) if math.isfinite(share) else "",
                     unit=equation.coef_units[j] or "",
@@ -400,17 +367,14 @@ def short_names(texts: Sequence[str], longest: int) -> dict[str, str]:
     """
     names = list(dict.fromkeys(name for text in texts for name in _NAME.findall(text)))
     for length in range(longest, max(map(len, names), default=0)):
-        out = {name: _shortened(name, length) for name in names}
+        front = length // 2
+        out = {
+            name: name if len(name) <= length else f"{name[:front]}…{name[len(name) - (length - front - 1) :]}"
+            for name in names
+        }
         if len(set(out.values())) == len(names):
             return {name: short for name, short in out.items() if short != name}
     return {}
-
-
-def _shortened(name: str, length: int) -> str:
-    if len(name) <= length:
-        return name
-    front = length // 2
-    return f"{name[:front]}…{name[len(name) - (length - front - 1) :]}"
 
 
 def with_names(text: str, names: Mapping[str, str]) -> str:

@@ -12,9 +12,8 @@ from bayeq.dictionary.ranges import ConstantEstimate
 from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation
 from bayeq.equation.intervals import Model
-from bayeq.equation.oscillator import own_parameters
+from bayeq.equation.physical import own_parameters
 from bayeq.equation.written import finite
-from bayeq.forecast.score import Scores
 from bayeq.inference.posterior import Posterior
 from bayeq.numerics.distributions import Z95
 
@@ -36,10 +35,10 @@ def _attributes(of: object, *names: str) -> dict[str, Any]:
 def to_dict(eq: Answer) -> dict[str, Any]:
     """The answer as plain data, every candidate term of every equation in it."""
     files, found = eq.data.files, own_parameters(eq)
-    hidden = [
-        {"state": one.state, "log_odds_without": finite(one.log_odds_without), "stated": one.stated}
-        for one in eq.hidden
-    ]
+    constants: dict[str, dict[str, Any]] = {}  # those inside terms, each once
+    for equation in eq.equations:
+        for constant in equation.constants:
+            constants.setdefault(constant.name, _constant(equation, constant))
     return {
         "version": version("bayeq"),
         "method": eq.method,
@@ -60,8 +59,8 @@ def to_dict(eq: Answer) -> dict[str, Any]:
             "units": {name: unit for equation in eq.equations for name, unit in equation.units.items()},
         },
         "equations": [_equation(equation) for equation in eq.equations],
-        **({"constants": _constants(eq)} if eq.constants else {}),
-        **({"hidden": hidden} if hidden else {}),
+        **({"constants": list(constants.values())} if eq.constants else {}),
+        **({"hidden": finite(list(map(asdict, eq.hidden)))} if eq.hidden else {}),
         "parameters": [
             {"name": one.symbol, "value": one.mean, "sd": one.sd, "ci95": [one.low, one.high], "unit": one.unit}
             for one in found or ()
@@ -80,20 +79,11 @@ def to_dict(eq: Answer) -> dict[str, Any]:
             "warnings": list(eq.warnings),
             "dropped_terms": [asdict(d) for d in eq.dropped],
             **({"constraints": list(eq.constraints)} if eq.constraints else {}),
-            **({"scores": _scores(eq.scores)} if eq.scores else {}),
+            **({"scores": finite(asdict(eq.scores))} if eq.scores else {}),  # None for the infinite error of a blow-up
             **({"refined": asdict(eq.refined)} if eq.refined else {}),
             "equations": {equation.target: _diagnostics(equation) for equation in eq.equations},
         },
     }
-
-
-def _scores(scores: Scores) -> dict[str, Any]:
-    """Errors of the rows held out; None for the infinite one of a run that blew up."""
-    errors = {
-        kind: {name: finite(error) for name, error in found.items()}
-        for kind, found in (("one_step", scores.one_step), ("free_run", scores.free_run))
-    }
-    return asdict(scores) | errors
 
 
 def _equation(equation: Equation) -> dict[str, Any]:
@@ -120,15 +110,6 @@ def _equation(equation: Equation) -> dict[str, Any]:
         **({"forms": {choice: dict(found) for choice, found in equation.forms.items()}} if equation.forms else {}),
         "terms": _terms(equation),
     }
-
-
-def _constants(eq: Answer) -> list[dict[str, Any]]:
-    """Constants inside terms, each once."""
-    found: dict[str, dict[str, Any]] = {}
-    for equation in eq.equations:
-        for one in equation.constants:
-            found.setdefault(one.name, _constant(equation, one))
-    return list(found.values())
 
 
 def _constant(equation: Equation, one: ConstantEstimate) -> dict[str, Any]:
@@ -160,9 +141,9 @@ def _terms(equation: Equation) -> list[dict[str, Any]]:
     bound = absent if equation.bound is None else equation.bound
     share = absent if equation.share is None else np.where(shown.support, equation.share, np.nan)
     columns |= {
-        "share": list(map(finite, share.tolist())),  # of a term that is shown
+        "share": finite(share.tolist()),  # of a term that is shown
         "unit": equation.coef_units,
-        "bound": list(map(finite, bound.tolist())),  # of one not included
+        "bound": finite(bound.tolist()),  # of one not included
     }
     return [dict(zip(columns, row, strict=True)) for row in zip(*map(_plain, columns.values()), strict=True)]
 
@@ -222,7 +203,7 @@ def _saved_posterior(equation: Equation) -> dict[str, Any]:
         # beside the coefficients of the terms shown; None where these are the included ones
         "shown": None if shown is p else _saved_model(shown),
         **_attributes(p, "center", "target_mean", "noise_variance", "target_mean_variance"),
-        "freedom": _freedom(p),
+        "freedom": None if p.freedom is None else finite(p.freedom.tolist()),  # None for infinitely many
         **_attributes(p, "n", "n_iter", "elbo_trace"),
         "optimum": None if p.optimum is None else np.flatnonzero(p.optimum).tolist(),
         "average": average
@@ -240,10 +221,5 @@ def _saved_model(p: Posterior) -> dict[str, Any]:
         "terms": np.flatnonzero(p.support).tolist(),
         "coef": p.coef[p.support].tolist(),
         **_attributes(p, "covariance", "noise_variance", "center", "target_mean", "target_mean_variance"),
-        "freedom": _freedom(p),
+        "freedom": None if p.freedom is None else finite(p.freedom.tolist()),  # None for infinitely many
     }
-
-
-def _freedom(p: Posterior) -> list[float | None] | None:
-    """Degrees of freedom of all terms; None for infinitely many."""
-    return None if p.freedom is None else list(map(finite, p.freedom.tolist()))

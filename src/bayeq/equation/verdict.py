@@ -166,10 +166,11 @@ def doubted(
             f"{careful}: add inputs or terms, and check the timing of the channels",
         )
     if coloured is not None:
+        chance = f"= {coloured.p:.1g}" if coloured.p >= 1e-4 else "< 0.0001"
         return Verdict(
             "nearly true",
             f"what is left of {coloured.channel} is not white noise: {coloured.ratio:.2g} times as much between"
-            f" {coloured.low:.2g} and {coloured.high:.2g} {rate} (p {_chance(coloured.p)})",
+            f" {coloured.low:.2g} and {coloured.high:.2g} {rate} (p {chance})",
             f"check {coloured.channel} against the other channels: calibration, timing, filters, hum",
         )
     if n_eff is not None:
@@ -181,10 +182,6 @@ def doubted(
     if share > MUCH:
         return Verdict("nearly true", unexplained, f"{careful}: add terms or inputs")
     return verdict
-
-
-def _chance(p: float) -> str:
-    return f"= {p:.1g}" if p >= 1e-4 else "< 0.0001"
 
 
 def worst(verdicts: Sequence[tuple[str, Verdict]]) -> Verdict:

@@ -175,17 +175,6 @@ def _is_plain(path: Sequence[Node]) -> bool:
     return False
 
 
-def derivative_unit(unit: str, order: int) -> str:
-    """Unit of the derivative of a channel by time [s]; of its integral, where `order` is negative.
-
-    Examples
-    --------
-    >>> derivative_unit("mm", 2), derivative_unit("m/s^2", -2)
-    ('mm/s^2', 'm')
-    """
-    return written_unit(multiply_units(parse_unit(unit), {"s": Fraction(-order)}))
-
-
 def channel_units(
     stated: Sequence[Mapping[str, str]], chains: Sequence[Chain], inputs: Sequence[str]
 ) -> tuple[dict[str, str], list[str]]:
@@ -207,8 +196,8 @@ def channel_units(
         for k, name in enumerate(chain.names):
             if chain.measured[k] is None and known:
                 nearest = min((abs(k - other), other) for other in known)[1]
-                order = 0 if chain.discrete else k - nearest
-                units[name] = derivative_unit(units[chain.names[nearest]], order)
+                power = Fraction(0 if chain.discrete else nearest - k)
+                units[name] = written_unit(multiply_units(parse_unit(units[chain.names[nearest]]), {"s": power}))
     return units, conflicts
 
 
@@ -376,5 +365,9 @@ def moment(time: float, discrete: bool) -> str:
 
 
 def finite(value: Any) -> Any:
-    """A value as JSON can hold it: None for a number that is infinite or not known."""
+    """A value, list or mapping as JSON can hold it: None for a number that is infinite or not known."""
+    if isinstance(value, Mapping):
+        return {name: finite(one) for name, one in value.items()}
+    if isinstance(value, list):
+        return [finite(one) for one in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

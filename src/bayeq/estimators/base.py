@@ -27,13 +27,6 @@ class _SeveralTargetsError(InputError, AttributeError):
     """An attribute that a fit to several targets does not have: also an AttributeError, as `hasattr` expects."""
 
 
-def _falling(forgetting: Any, rows: int) -> Floats:
-    """Weights of the rows of a block, of which the last has 1."""
-    if not (isinstance(forgetting, Real) and 0.0 < float(forgetting) <= 1.0):
-        raise InputError(f"forgetting is the share of its weight that a row keeps, 0 < forgetting <= 1: {forgetting!r}")
-    return np.power(float(forgetting), np.arange(rows - 1, -1, -1, dtype=np.float64))
-
-
 class SparseRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     """A sparse linear regression: a subclass names its parameters and its engine."""
 
@@ -149,14 +142,25 @@ class SparseRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         """
         first = not hasattr(self, "coef_")
         D, y = self._validated_thoroughly(D, y, reset=first, rows=1)
-        weights = _falling(self.forgetting, len(D))
+        kept: Any = self.forgetting
+        if not (isinstance(kept, Real) and 0.0 < float(kept) <= 1.0):
+            raise InputError(f"forgetting is the share of its weight that a row keeps, 0 < forgetting <= 1: {kept!r}")
+        weights = np.power(float(kept), np.arange(len(D) - 1, -1, -1, dtype=np.float64))
         if sample_weight is not None:
             weights = weights * checked_weights(sample_weight, len(D))
         several = y.ndim == 2
-        names = getattr(self, "feature_names_in_", None) if first else self._former()[0].names
+        if not (first or self._sums):
+            raise InputError(
+                "partial_fit: this was fitted to fewer rows than columns, whose D'D is not kept; begin with partial_fit"
+                " on an estimator that is not fitted"
+            )
+        names = getattr(self, "feature_names_in_", None) if first else self._sums[0].names
         grams = grams_from_data(D, y if several else y[:, None], names, weights)
         if not first:
-            self._require_targets(y)
+            now, before = y.shape[1:], self.coef_.shape[:-1]
+            if now != before:
+                shapes = [f"(n, {shape[0]})" if shape else "(n,)" for shape in (now, before)]
+                raise InputError(f"partial_fit: y has shape {shapes[0]}, that of the rows before was {shapes[1]}")
             left = self.forgetting ** len(D)
             grams = tuple([old.raised(left) + new for old, new in zip(self._sums, grams, strict=True)])
         if grams[0].n < 2:
@@ -165,22 +169,6 @@ class SparseRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
                 " at a time, or a forgetting closer to 1"
             )
         return self._fitted(grams, several)
-
-    def _former(self) -> tuple[Gram, ...]:
-        """The sums over earlier rows."""
-        if not self._sums:
-            raise InputError(
-                "partial_fit: this was fitted to fewer rows than columns, whose D'D is not kept; begin with partial_fit"
-                " on an estimator that is not fitted"
-            )
-        return self._sums
-
-    def _require_targets(self, y: Floats) -> None:
-        """Refuse another number of targets than that of the rows before."""
-        now, before = y.shape[1:], self.coef_.shape[:-1]
-        if now != before:
-            shapes = [f"(n, {shape[0]})" if shape else "(n,)" for shape in (now, before)]
-            raise InputError(f"partial_fit: y has shape {shapes[0]}, that of the rows before was {shapes[1]}")
 
     def _read(self, field: str, listed: bool = False) -> Any:
         """A field of the posterior; of those of several targets stacked, or as a list."""

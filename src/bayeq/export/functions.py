@@ -6,6 +6,7 @@ Source text is by SymPy's printers. A new language is a row of `LANGUAGES`.
 from __future__ import annotations
 
 import keyword
+import operator
 import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import reduce
@@ -23,6 +24,7 @@ from bayeq.forecast.dynamics import Law, solved_laws
 from bayeq.states import rates
 
 MODULES = ("numpy", "jax")
+OPERATORS = {"+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv, "**": operator.pow}
 
 
 def to_callable(laws: Sequence[Law], inputs: Sequence[str], timed: bool, module: str) -> Callable[..., Any]:
@@ -83,19 +85,15 @@ def _value(node: Node, columns: Mapping[str, Any], array: Any) -> Any:
             a, b = _value(left, columns, array), _value(right, columns, array)
             if op in COMPARISONS:
                 return getattr(array, COMPARISONS[op].numpy.__name__)(a, b)
-            return _operated(op, array.asarray(a) if op == "/" else a, b, array)
+            if op == "**" and not (isinstance(b, int) and not isinstance(a, int)):
+                return array.power(array.asarray(a, dtype=float), b)
+            return OPERATORS[op](array.asarray(a) if op == "/" else a, b)
         case Call(function, arguments) if FUNCTIONS[function].definition:
             return _value(substituted(template(FUNCTIONS[function].definition), arguments), columns, array)
         case Call(function, arguments):
             return _called(function, [_value(argument, columns, array) for argument in arguments], array)
         case _:
             return columns[node.name]
-
-
-def _operated(op: str, a: Any, b: Any, array: Any) -> Any:
-    if op == "**":
-        return a**b if isinstance(b, int) and not isinstance(a, int) else array.power(array.asarray(a, dtype=float), b)
-    return a + b if op == "+" else a - b if op == "-" else a * b if op == "*" else a / b
 
 
 def _called(function: str, arguments: list[Any], array: Any) -> Any:

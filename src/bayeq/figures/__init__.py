@@ -1,17 +1,15 @@
 """Figures: answers and plain arrays in, matplotlib figures and axes out.
 
-style      the look of all figures, and how they are written
-picture    what all pictures of an answer have in common
+style      the look of all figures, how they are written, and what all pictures of an answer have in common
 runs       free runs, one step, phase portrait
-terms      probabilities, coefficients, correlation of terms
+terms      probabilities, coefficients, correlation of terms; coefficients over many files
 forces     restoring forces
 frequency  spectra, frequency response
-drift      coefficients over many files
 paper      Figs. 4 and 5 of the paper
 
 Pictures of an answer are called as ``bayeq.figures.pip_bars(eq)`` or ``bayeq.figures.free_run(eq, record)``: they take
-the equations, a record, and axes to draw on, and return the axes. A new one is a function under `picture`, named here.
-matplotlib is loaded when one is drawn.
+the equations, a record, and axes to draw on, and return the axes. A new one is a function under `style.picture`, named
+here. matplotlib is loaded when one is drawn.
 """
 
 from __future__ import annotations

@@ -13,25 +13,8 @@ import numpy as np
 from bayeq.arrays import Floats
 from bayeq.errors import InputError
 from bayeq.expressions import Evaluator
+from bayeq.figures import style
 from bayeq.figures.runs import BAND
-from bayeq.figures.style import (
-    BLACK,
-    BLUE,
-    GREY,
-    SINGLE_COLUMN,
-    Answer,
-    EquationLike,
-    above,
-    axes_for,
-    equation_of,
-    given_as,
-    label_of,
-    named,
-    new_figure,
-    picture,
-    thinned,
-    titled,
-)
 from bayeq.numerics.distributions import Z95
 from bayeq.records import Record
 
@@ -48,7 +31,7 @@ RINGS, RAYS = 24, 72
 POINTS = 1500
 
 
-def _second_order(equation: EquationLike) -> tuple[str, str]:
+def _second_order(equation: style.EquationLike) -> tuple[str, str]:
     """Names of displacement and velocity; InputError if the equation is not of second order."""
     if equation.chain.order != 2 or equation.chain.discrete:
         raise InputError(
@@ -58,7 +41,7 @@ def _second_order(equation: EquationLike) -> tuple[str, str]:
     return equation.chain.names[0], equation.chain.names[1]
 
 
-def _measured(equation: EquationLike, rows: MotionRows, of: Iterable[str]) -> Floats:
+def _measured(equation: style.EquationLike, rows: MotionRows, of: Iterable[str]) -> Floats:
     """Restoring force per unit mass of the variables `of` at each row, (n,).
 
     It is the terms of other variables less the acceleration as it was measured.
@@ -71,7 +54,7 @@ def _measured(equation: EquationLike, rows: MotionRows, of: Iterable[str]) -> Fl
     return np.asarray(others - rows.observed[equation.target], dtype=np.float64)
 
 
-def _discovered(equation: EquationLike, columns: Mapping[str, Floats]) -> tuple[Floats, Floats]:
+def _discovered(equation: style.EquationLike, columns: Mapping[str, Floats]) -> tuple[Floats, Floats]:
     """The restoring force that the equation has found, and its standard deviation, at columns of its variables, (n,).
 
     The intercept is in it.
@@ -93,16 +76,16 @@ def _discovered(equation: EquationLike, columns: Mapping[str, Floats]) -> tuple[
     return force, np.sqrt(np.maximum(variance, 0.0)).reshape(n)
 
 
-def _own(equation: EquationLike, of: Iterable[str]) -> Sequence[int]:
+def _own(equation: style.EquationLike, of: Iterable[str]) -> Sequence[int]:
     """Terms shown that use these variables alone."""
     variables = set(of)
     kept = np.flatnonzero(equation.shown_posterior.support).tolist()
     return [j for j in kept if set(equation.terms[j].names) <= variables]
 
 
-@picture
+@style.picture
 def restoring_force_curve(
-    eq: Answer, record: Record, ax: Any = None, *, target: str | None = None, over: str | None = None
+    eq: style.Answer, record: Record, ax: Any = None, *, target: str | None = None, over: str | None = None
 ) -> Axes:
     """The force of the spring over the displacement, measured and discovered; or that of the damper over the velocity.
 
@@ -136,29 +119,30 @@ def restoring_force_curve(
     MissingExtraError
         matplotlib is not installed.
     """
-    equation = equation_of(eq, target)
+    equation = style.equation_of(eq, target)
     names = _second_order(equation)
-    name = named("displacement or velocity", over, names)
+    name = style.named("displacement or velocity", over, names)
     rows = eq.motion(record)
     place = rows.columns[name]
     force = _measured(equation, rows, [name])
     along = np.linspace(float(place.min()), float(place.max()), PLACES)
     mean, sd = _discovered(equation, {name: along})
-    (ax,) = axes_for(ax, [70.0], SINGLE_COLUMN)
-    every = thinned(rows.n)
-    dots: dict[str, Any] = {"color": GREY, "markersize": 1.8, "markeredgewidth": 0, "alpha": 0.7, "rasterized": True}
-    ax.plot(place[every], force[every], "o", label=f"{given_as(eq, equation.target)} less other terms", **dots)
+    (ax,) = style.axes_for(ax, [70.0], style.SINGLE_COLUMN)
+    every = style.thinned(rows.n)
+    dots: dict[str, Any] = {"markersize": 1.8, "markeredgewidth": 0, "alpha": 0.7, "rasterized": True}
+    label = f"{style.given_as(eq, equation.target)} less other terms"
+    ax.plot(place[every], force[every], "o", color=style.GREY, label=label, **dots)
     ax.fill_between(along, mean - Z95 * sd, mean + Z95 * sd, label="95 % band", **BAND)
-    ax.plot(along, mean, color=BLUE, linewidth=1.4, label="discovered")
-    ax.set_xlabel(label_of(name, equation.units))
-    ax.set_ylabel(label_of(equation.target, equation.units, FORCE))
-    titled(ax, eq, equation.target)
-    above(ax, fontsize=6.5, markerscale=2.0, handlelength=1.4, columnspacing=1.0)
+    ax.plot(along, mean, color=style.BLUE, linewidth=1.4, label="discovered")
+    ax.set_xlabel(style.label_of(name, equation.units))
+    ax.set_ylabel(style.label_of(equation.target, equation.units, FORCE))
+    style.titled(ax, eq, equation.target)
+    style.above(ax, fontsize=6.5, markerscale=2.0, handlelength=1.4, columnspacing=1.0)
     return ax
 
 
-@picture
-def restoring_force_surface(eq: Answer, record: Record, ax: Any = None, *, target: str | None = None) -> Axes:
+@style.picture
+def restoring_force_surface(eq: style.Answer, record: Record, ax: Any = None, *, target: str | None = None) -> Axes:
     """The restoring force over displacement and velocity, measured and discovered (Masri and Caughey 1979).
 
     What was measured is the acceleration of each row less the equation's terms of other variables (force, other
@@ -194,7 +178,7 @@ def restoring_force_surface(eq: Answer, record: Record, ax: Any = None, *, targe
     S. F. Masri and T. K. Caughey, "A nonparametric identification technique for nonlinear dynamic problems", Journal of
     Applied Mechanics 46(2), 433-447, 1979.
     """
-    equation = equation_of(eq, target)
+    equation = style.equation_of(eq, target)
     names = _second_order(equation)
     if ax is not None and not hasattr(ax, "plot_surface"):
         raise InputError("ax: a surface needs axes of three dimensions, figure.add_subplot(projection='3d')")
@@ -204,21 +188,21 @@ def restoring_force_surface(eq: Answer, record: Record, ax: Any = None, *, targe
     grid_x, grid_v = _ellipse(x, v)
     surface, _ = _discovered(equation, {names[0]: grid_x, names[1]: grid_v})
     if ax is None:
-        ax = new_figure(SINGLE_COLUMN, 78.0).add_axes((0.11, 0.05, 0.87, 0.9), projection="3d")
+        ax = style.new_figure(style.SINGLE_COLUMN, 78.0).add_axes((0.11, 0.05, 0.87, 0.9), projection="3d")
         ax.set_box_aspect((1.0, 1.0, 0.75), zoom=1.0)
-    every = thinned(rows.n, POINTS)
-    look: dict[str, Any] = {"color": BLUE, "alpha": 0.4, "linewidth": 0.15, "edgecolor": BLUE, "antialiased": True}
-    ax.plot_surface(grid_x, grid_v, surface, rcount=RINGS, ccount=RAYS, label="discovered", **look)
-    dots: dict[str, Any] = {"s": 2.2, "color": BLACK, "alpha": 0.6, "linewidths": 0, "rasterized": True}
-    ax.scatter(x[every], v[every], force[every], label=given_as(eq, equation.target), depthshade=False, **dots)
-    ax.set_xlabel(label_of(names[0], equation.units), labelpad=-2)
-    ax.set_ylabel(label_of(names[1], equation.units), labelpad=-2)
-    ax.set_zlabel(label_of(equation.target, equation.units, FORCE), labelpad=-1)
+    every = style.thinned(rows.n, POINTS)
+    look: dict[str, Any] = {"color": style.BLUE, "alpha": 0.4, "linewidth": 0.15, "edgecolor": style.BLUE}
+    ax.plot_surface(grid_x, grid_v, surface, rcount=RINGS, ccount=RAYS, label="discovered", **look, antialiased=True)
+    dots: dict[str, Any] = {"s": 2.2, "color": style.BLACK, "alpha": 0.6, "linewidths": 0, "rasterized": True}
+    ax.scatter(x[every], v[every], force[every], label=style.given_as(eq, equation.target), depthshade=False, **dots)
+    ax.set_xlabel(style.label_of(names[0], equation.units), labelpad=-2)
+    ax.set_ylabel(style.label_of(names[1], equation.units), labelpad=-2)
+    ax.set_zlabel(style.label_of(equation.target, equation.units, FORCE), labelpad=-1)
     ax.tick_params(pad=-2)
     ax.locator_params(nbins=5)
     # from the low side of the slope: from the high one the surface is seen on edge
     ax.view_init(elev=28.0, azim=-122.0 if np.polyfit(x, force, 1)[0] >= 0.0 else -58.0)
-    titled(ax, eq, equation.target)
+    style.titled(ax, eq, equation.target)
     ax.legend(loc="upper right", fontsize=7, markerscale=3.0)
     return ax
 

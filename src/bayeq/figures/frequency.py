@@ -8,27 +8,8 @@ import numpy as np
 
 from bayeq.arrays import Complexes, Floats
 from bayeq.errors import InputError
+from bayeq.figures import style
 from bayeq.figures.runs import DRAWN, MEASURED
-from bayeq.figures.style import (
-    FULL_WIDTH,
-    GREY,
-    ORANGE,
-    PALE,
-    SINGLE_COLUMN,
-    Answer,
-    Run,
-    above,
-    axes_for,
-    bracketed,
-    channel_of,
-    frequency_label,
-    log_ticks,
-    named,
-    picture,
-    plain,
-    term_label,
-    units_of,
-)
 from bayeq.records import Record
 
 if TYPE_CHECKING:
@@ -51,24 +32,20 @@ DRIVEN = 1e-3
 COHERENT = 0.5
 
 
-def _whole_run(eq: Answer, record: Record, channel: str | None, what: str) -> tuple[Run, str, float]:
+def _whole_run(eq: style.Answer, record: Record, channel: str | None, what: str) -> tuple[style.Run, str, float]:
     """The free run over the whole record, the state asked for, and the sampling rate [Hz]."""
     run = eq.simulate(record, draws=0)
-    name = channel_of(run, channel)
+    name = style.channel_of(run, channel)
     if run.blew_up_at is not None:
         raise InputError(f"the free run blew up at {run.blew_up_at:.6g} s: it has no {what}")
-    return run, name, _even_rate(run.time, record.name or "record")
-
-
-def _even_rate(time: Floats, where: str) -> float:
-    """Sampling rate [Hz] of times that are even to a thousandth; InputError if they are not, or too few."""
-    if len(time) < LEAST_ROWS:
-        raise InputError(f"{where}: a spectrum needs {LEAST_ROWS} rows or more, there are {len(time)}")
-    steps = np.diff(time)
+    where = record.name or "record"
+    if len(run.time) < LEAST_ROWS:
+        raise InputError(f"{where}: a spectrum needs {LEAST_ROWS} rows or more, there are {len(run.time)}")
+    steps = np.diff(run.time)
     step = float(np.median(steps))
-    if float(np.abs(steps - step).max()) > 1e-3 * step:
+    if float(np.abs(steps - step).max()) > 1e-3 * step:  # even to a thousandth
         raise InputError(f"{where}: a spectrum needs even sampling; resample the record first")
-    return 1.0 / step
+    return run, name, 1.0 / step
 
 
 def _filled(values: Floats) -> Floats:
@@ -92,8 +69,8 @@ def _cross_spectrum(x: Floats, y: Floats, fs: float, segments: int = SEGMENTS) -
     return np.asarray(f[1:]), np.asarray(density[1:], dtype=np.complex128)
 
 
-@picture
-def spectra(eq: Answer, record: Record, ax: Any = None, *, channel: str | None = None) -> Axes:
+@style.picture
+def spectra(eq: style.Answer, record: Record, ax: Any = None, *, channel: str | None = None) -> Axes:
     """Power spectral densities of a measured state, of the free run over the whole record, and of their difference.
 
     Parameters
@@ -123,11 +100,11 @@ def spectra(eq: Answer, record: Record, ax: Any = None, *, channel: str | None =
     """
     run, name, fs = _whole_run(eq, record, channel, "spectrum")
     measured, simulated = _filled(run.measured[name]), run.mean[name]
-    (ax,) = axes_for(ax, [70.0], SINGLE_COLUMN)
+    (ax,) = style.axes_for(ax, [70.0], style.SINGLE_COLUMN)
     curves = (
         (measured, MEASURED),
         (simulated, {**DRAWN, "label": "free run"}),
-        (measured - simulated, {"color": ORANGE, "linewidth": 0.8, "label": "difference"}),
+        (measured - simulated, {"color": style.ORANGE, "linewidth": 0.8, "label": "difference"}),
     )
     densities = []
     for values, look in curves:
@@ -140,16 +117,16 @@ def spectra(eq: Answer, record: Record, ax: Any = None, *, channel: str | None =
     ax.set_xlim(0.0, min(last, fs / 2.0))
     highest, least = float(whole.max()), float(np.minimum(whole, left)[f <= last].min())
     ax.set_ylim(max(0.1 * least, 1e-12 * highest), 3.0 * highest)
-    ax.set_xlabel(frequency_label(eq))
-    unit = units_of(eq).get(name, "")
-    ax.set_ylabel(plain(f"PSD of {name}" + (f" [{bracketed(unit)}²/Hz]" if unit else " [1/Hz]")))
-    above(ax)
+    ax.set_xlabel(style.frequency_label(eq))
+    unit = style.units_of(eq).get(name, "")
+    ax.set_ylabel(style.plain(f"PSD of {name}" + (f" [{style.bracketed(unit)}²/Hz]" if unit else " [1/Hz]")))
+    style.above(ax)
     return ax
 
 
-@picture
+@style.picture
 def frequency_response(
-    eq: Answer, record: Record, ax: Any = None, *, channel: str | None = None, force: str | None = None
+    eq: style.Answer, record: Record, ax: Any = None, *, channel: str | None = None, force: str | None = None
 ) -> tuple[Axes, Axes]:
     """Magnitude and phase of the response of a state to an input, measured and of the free run (H1 estimate, Welch).
 
@@ -184,7 +161,7 @@ def frequency_response(
     """
     if not eq.inputs:
         raise InputError("the equations have no input: there is no response to it")
-    source = named("input", force, eq.inputs)
+    source = style.named("input", force, eq.inputs)
     run, name, fs = _whole_run(eq, record, channel, "frequency response")
     rows = eq.motion(record)
     times = run.time if rows.time is None else rows.time
@@ -193,7 +170,7 @@ def frequency_response(
     f, power = _cross_spectrum(u, u, fs, count)
     driven = power.real >= DRIVEN * power.real.max()
     heights = [52.0, 32.0] if ax is not None else [48.0, 28.0, 22.0]
-    upper, lower, *third = axes_for(ax, heights, FULL_WIDTH, sharex=True)
+    upper, lower, *third = style.axes_for(ax, heights, style.FULL_WIDTH, sharex=True)
     looks: tuple[dict[str, Any], ...] = (MEASURED, {**DRAWN, "label": "free run"})
     for values, look in zip((_filled(run.measured[name]), run.mean[name]), looks, strict=True):
         cross = _cross_spectrum(u, values, fs, count)[1]
@@ -204,15 +181,15 @@ def frequency_response(
         # from -270 to 90 degrees: that of an oscillator does not jump between 180 and -180
         phase = (np.degrees(np.angle(response)) + 270.0) % 360.0 - 270.0
         if look["label"] == "measured":  # what does not follow the input is there, but faint
-            faint = MEASURED | {"color": PALE, "label": f"coherence below {COHERENT:g}"}
+            faint = MEASURED | {"color": style.PALE, "label": f"coherence below {COHERENT:g}"}
             upper.plot(f, np.abs(response), **faint)
-            lower.plot(f, np.where(coherence < COHERENT, phase, np.nan), ".", color=GREY, markersize=2.5)
+            lower.plot(f, np.where(coherence < COHERENT, phase, np.nan), ".", color=style.GREY, markersize=2.5)
             response, phase = (np.where(coherence >= COHERENT, part, np.nan) for part in (response, phase))
         upper.plot(f, np.abs(response), **look)
         lower.plot(f, phase, **look)
-    over, below = (units_of(eq).get(one) for one in (name, source))
-    unit = f" [{bracketed(over)}/{bracketed(below)}]" if over and below else ""
-    upper.set_ylabel(plain(f"|{name}/{source}|{unit}"))
+    over, below = (style.units_of(eq).get(one) for one in (name, source))
+    unit = f" [{style.bracketed(over)}/{style.bracketed(below)}]" if over and below else ""
+    upper.set_ylabel(style.plain(f"|{name}/{source}|{unit}"))
     lower.set_ylabel("phase [°]")
     lower.set_yticks([-270, -180, -90, 0, 90])
     lower.set_ylim(-280.0, 100.0)
@@ -222,9 +199,9 @@ def frequency_response(
         one.set_ylim(0.0, 1.05)
     last = (third or [lower])[0]
     last.set_xscale("log")
-    last.set_xlabel(f"{frequency_label(eq)}, resolved to {f[0]:.2g}")
+    last.set_xlabel(f"{style.frequency_label(eq)}, resolved to {f[0]:.2g}")
     last.set_xlim(float(f[0]), float(f[driven].max()))
-    log_ticks(last.xaxis)
-    upper.set_title(f"response of {term_label(name)} to {term_label(source)}")
-    above(upper)
+    style.log_ticks(last.xaxis)
+    upper.set_title(f"response of {style.term_label(name)} to {style.term_label(source)}")
+    style.above(upper)
     return upper, lower

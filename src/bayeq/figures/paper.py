@@ -13,18 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayeq.arrays import Bools, Floats
-from bayeq.figures.style import (
-    BLACK,
-    BLUE,
-    DASHED,
-    FULL_WIDTH,
-    ORANGE,
-    PALE,
-    RED,
-    SINGLE_COLUMN,
-    new_figure,
-    new_panels,
-)
+from bayeq.figures import style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,8 +23,8 @@ if TYPE_CHECKING:
 BLOCK = 90.0
 
 # How VB's mean and the truth are marked.
-MEAN: dict[str, Any] = {"color": BLACK, "markersize": 5, "markeredgewidth": 1.1}
-TRUTH: dict[str, Any] = {"color": RED, "markerfacecolor": "none", "markersize": 6, "markeredgewidth": 1.3}
+MEAN: dict[str, Any] = {"color": style.BLACK, "markersize": 5, "markeredgewidth": 1.1}
+TRUTH: dict[str, Any] = {"color": style.RED, "markerfacecolor": "none", "markersize": 6, "markeredgewidth": 1.3}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,7 +61,7 @@ def draw_inclusion(panels: Sequence[Inclusion], axis_label: str = "candidate ter
     Panels stand from left to right, `axis_label` beside the terms; the figure is as wide as a journal's page.
     """
     terms = panels[-1].terms
-    figure, axes = new_panels(1, len(panels), height=26.0 + 3.7 * len(terms), sharey=True)
+    figure, axes = style.new_panels(1, len(panels), height=26.0 + 3.7 * len(terms), sharey=True)
     for k, (ax, panel) in enumerate(zip(axes[0], panels, strict=True)):
         explained = _bars(ax, panel)
         ax.set_title(textwrap.fill(f"({chr(97 + k)}) {panel.title}", 24))
@@ -86,11 +75,11 @@ def draw_inclusion(panels: Sequence[Inclusion], axis_label: str = "candidate ter
 def _bars(ax: Axes, panel: Inclusion) -> list[Any]:
     """A panel of inclusion probabilities; returns what the legend explains."""
     at = np.arange(len(panel.terms))
-    look: dict[str, Any] = {"edgecolor": BLACK, "linewidth": 0.4}
-    true = [ax.axhspan(j - 0.5, j + 0.5, color=PALE, linewidth=0, zorder=0) for j in np.flatnonzero(panel.true)]
-    mcmc = ax.barh(at - 0.19, panel.mcmc, 0.38, color=BLUE, label="SS-MCMC", **look)
-    vb = ax.barh(at + 0.19, panel.vb, 0.38, color=ORANGE, hatch="/////", label="SS-VB", **look)
-    half = ax.axvline(0.5, color=RED, linestyle=DASHED, linewidth=0.8, label="PIP = 0.5", zorder=3)
+    look: dict[str, Any] = {"edgecolor": style.BLACK, "linewidth": 0.4}
+    true = [ax.axhspan(j - 0.5, j + 0.5, color=style.PALE, linewidth=0, zorder=0) for j in np.flatnonzero(panel.true)]
+    mcmc = ax.barh(at - 0.19, panel.mcmc, 0.38, color=style.BLUE, label="SS-MCMC", **look)
+    vb = ax.barh(at + 0.19, panel.vb, 0.38, color=style.ORANGE, hatch="/////", label="SS-VB", **look)
+    half = ax.axvline(0.5, color=style.RED, linestyle=style.DASHED, linewidth=0.8, label="PIP = 0.5", zorder=3)
     ax.set_xlim(0.0, 1.05)
     ax.set_xticks([0.0, 0.5, 1.0])
     ax.set_xlabel("PIP")
@@ -105,19 +94,30 @@ def draw_joint(systems: Sequence[JointPosterior], note: str = "") -> Figure:
     Systems stand row by row, two in a row, and the note above the legend. The figure is as wide as a journal's page, or
     as a column of it for one system.
     """
+    from matplotlib.lines import Line2D
+
     across = min(len(systems), 2)
     rows = -(-len(systems) // across)
     spare = across == 2 and len(systems) % 2 == 1  # a place for the legend
     below = 0.0 if spare else 27.0 if across == 2 else 34.0
-    width = FULL_WIDTH if across == 2 else SINGLE_COLUMN
-    figure = new_figure(width, rows * BLOCK + below, layout="constrained")
+    width = style.FULL_WIDTH if across == 2 else style.SINGLE_COLUMN
+    figure = style.new_figure(width, rows * BLOCK + below, layout="constrained")
     blocks = figure.subfigures(rows, across, squeeze=False).flat
     for k, (block, system) in enumerate(zip(blocks, systems, strict=False)):
         _triangle(block, system, f"({chr(97 + k)}) {system.title}")
     where: dict[str, Any] = {"loc": "outside lower center", "ncols": across, "labelspacing": 0.5}
     if spare:
         where = {"loc": "center left", "bbox_to_anchor": (0.5 + 10.0 / width, 0.5 / rows), "labelspacing": 0.9}
-    legend = figure.legend(handles=_joint_legend(), columnspacing=1.5, title=note or None, **where)
+    samples = {"linestyle": "none", "color": style.BLUE, "marker": "o", "markersize": 3.0}
+    looks: dict[str, dict[str, Any]] = {
+        "SS-MCMC samples, the model that SS-VB selects": samples,
+        "SS-MCMC samples, other models": samples | {"color": style.ORANGE, "marker": "^", "markersize": 4.0},
+        "SS-VB mean": {"linestyle": "none", "marker": "x", **MEAN},
+        "SS-VB 95 % confidence ellipse": {"color": style.BLACK, "linewidth": 1.0},
+        "true values": {"linestyle": "none", "marker": "o", **TRUTH},
+    }
+    handles = [Line2D([], [], label=label, **look) for label, look in looks.items()]
+    legend = figure.legend(handles=handles, columnspacing=1.5, title=note or None, **where)
     legend.set_alignment("left")
     return figure
 
@@ -146,8 +146,8 @@ def _pair(ax: Axes, system: JointPosterior, i: int, j: int) -> None:
 
     cloud = system.included[:, i] & system.included[:, j]
     for chosen, marker, colour, size, alpha in (
-        (cloud & ~system.same_model, "^", ORANGE, 2.0, 0.4),
-        (cloud & system.same_model, "o", BLUE, 1.2, 0.08),
+        (cloud & ~system.same_model, "^", style.ORANGE, 2.0, 0.4),
+        (cloud & system.same_model, "o", style.BLUE, 1.2, 0.08),
     ):
         x, y = system.samples[chosen, i], system.samples[chosen, j]
         ax.plot(x, y, marker, color=colour, markersize=size, markeredgewidth=0, alpha=alpha, rasterized=True)
@@ -155,7 +155,7 @@ def _pair(ax: Axes, system: JointPosterior, i: int, j: int) -> None:
     rim = [withStroke(linewidth=2.4, foreground="white")]
     ax.plot(system.truth[i], system.truth[j], "o", path_effects=rim, zorder=3, **TRUTH)
     if (i, j) in system.ellipses:
-        ax.plot(*system.ellipses[i, j], color=BLACK, linewidth=1.0, path_effects=rim)
+        ax.plot(*system.ellipses[i, j], color=style.BLACK, linewidth=1.0, path_effects=rim)
         ax.plot(system.vb_mean[i], system.vb_mean[j], "x", path_effects=rim, zorder=4, **MEAN)
     else:
         absent = ", ".join(system.names[a] for a in (i, j) if not system.vb_included[a])
@@ -177,17 +177,3 @@ def _ticks(limits: Floats, intervals: int, margin: float) -> Floats:
     low, high = float(limits[0] + room), float(limits[1] - room)
     ticks = np.asarray(MaxNLocator(intervals).tick_values(low, high))
     return ticks[(ticks >= low) & (ticks <= high)]
-
-
-def _joint_legend() -> list[Any]:
-    from matplotlib.lines import Line2D
-
-    samples = {"linestyle": "none", "color": BLUE, "marker": "o", "markersize": 3.0}
-    looks: dict[str, dict[str, Any]] = {
-        "SS-MCMC samples, the model that SS-VB selects": samples,
-        "SS-MCMC samples, other models": samples | {"color": ORANGE, "marker": "^", "markersize": 4.0},
-        "SS-VB mean": {"linestyle": "none", "marker": "x", **MEAN},
-        "SS-VB 95 % confidence ellipse": {"color": BLACK, "linewidth": 1.0},
-        "true values": {"linestyle": "none", "marker": "o", **TRUTH},
-    }
-    return [Line2D([], [], label=label, **look) for label, look in looks.items()]

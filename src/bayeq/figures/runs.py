@@ -9,33 +9,7 @@ import numpy as np
 
 from bayeq.arrays import Floats
 from bayeq.errors import InputError, UnknownNameError
-from bayeq.figures.style import (
-    BLACK,
-    BLUE,
-    DASHED,
-    FULL_WIDTH,
-    ORANGE,
-    PALE,
-    RED,
-    SINGLE_COLUMN,
-    Answer,
-    Run,
-    above,
-    axes_for,
-    channel_of,
-    equation_of,
-    given_as,
-    label_of,
-    labelled,
-    new_panels,
-    picture,
-    plain,
-    term_label,
-    thinned,
-    time_label,
-    titled,
-    units_of,
-)
+from bayeq.figures import style
 from bayeq.numerics.distributions import Z95
 from bayeq.records import Record
 
@@ -46,11 +20,11 @@ if TYPE_CHECKING:
 # Mean, low and high; the ends are None where there is no band.
 Curve = tuple[Floats, Floats | None, Floats | None]
 
-BAND: dict[str, Any] = {"color": BLUE, "alpha": 0.28, "linewidth": 0.0}
+BAND: dict[str, Any] = {"color": style.BLUE, "alpha": 0.28, "linewidth": 0.0}
 
 # What was measured is a wide grey line, which shows on both sides of a run that agrees with it.
 MEASURED: dict[str, Any] = {"color": "#A8A8A8", "linewidth": 2.6, "label": "measured"}
-DRAWN: dict[str, Any] = {"color": BLUE, "linewidth": 0.9}
+DRAWN: dict[str, Any] = {"color": style.BLUE, "linewidth": 0.9}
 
 # Heights of a panel and of the residual below it [mm]; those of many panels.
 HEIGHTS = (56.0, 28.0)
@@ -65,7 +39,7 @@ def _compare(ax: Axes, time: Floats, measured: Floats | None, curve: Curve, labe
 
     Limits are those of what was measured, where there is any, for a run may go far away.
     """
-    every = thinned(len(time))
+    every = style.thinned(len(time))
     known = curve[0] if measured is None else measured
     known = known[np.isfinite(known)]
     low, high = (float(known.min()), float(known.max())) if len(known) else (-1.0, 1.0)
@@ -89,56 +63,56 @@ def _band(ax: Axes, time: Floats, ends: Sequence[Floats | None], every: slice, l
 
 def _residual(ax: Axes, time: Floats, measured: Floats, curve: Curve, label: str, of: str = "measured") -> None:
     """What was measured less a curve, and its band."""
-    every = thinned(len(time))
+    every = style.thinned(len(time))
     mean, *ends = curve
     residual = measured - mean
     reach = 1.15 * float(np.abs(residual[np.isfinite(residual)]).max(initial=0.0)) or 1.0
     ax.set_ylim(-reach, reach)
     ax.set_xlim(float(time[0]), float(time[-1]))
-    ax.axhline(0.0, color=BLACK, linewidth=0.5)
+    ax.axhline(0.0, color=style.BLACK, linewidth=0.5)
     _band(ax, time[every], [None if end is None else end - mean for end in ends], every)
-    ax.plot(time[every], residual[every], color=ORANGE, linewidth=0.9, label=f"residual: {of} less {label}")
+    ax.plot(time[every], residual[every], color=style.ORANGE, linewidth=0.9, label=f"residual: {of} less {label}")
 
 
-def _curve(run: Run, name: str) -> Curve:
+def _curve(run: style.Run, name: str) -> Curve:
     return run.mean[name], run.low.get(name), run.high.get(name)
 
 
-def _state(ax: Axes, run: Run, name: str) -> None:
+def _state(ax: Axes, run: style.Run, name: str) -> None:
     """One state of a free run: what was measured, the run, its band, and where it blew up."""
     _compare(ax, run.time, run.measured.get(name), _curve(run, name), "free run")
-    ax.set_ylabel(label_of(name, run.units))
+    ax.set_ylabel(style.label_of(name, run.units))
     _mark_blow_up(ax, run)
 
 
-def _mark_blow_up(ax: Axes, run: Run) -> None:
+def _mark_blow_up(ax: Axes, run: style.Run) -> None:
     if run.blew_up_at is not None:
-        ax.axvline(run.blew_up_at, color=RED, linestyle=DASHED, linewidth=0.8, label="blew up")
+        ax.axvline(run.blew_up_at, color=style.RED, linestyle=style.DASHED, linewidth=0.8, label="blew up")
 
 
-def draw_states(axes: Sequence[Axes], run: Run) -> None:
+def draw_states(axes: Sequence[Axes], run: style.Run) -> None:
     """A free run against what was measured, a state in each of the axes."""
     for ax, name in zip(axes, run.mean, strict=True):
         _state(ax, run, name)
     axes[-1].set_xlabel("time [s]")
 
 
-@picture
-def draw_forecasts(runs: Sequence[tuple[str, Run]], time: str = "time [s]") -> Figure:
+@style.picture
+def draw_forecasts(runs: Sequence[tuple[str, style.Run]], time: str = "time [s]") -> Figure:
     """Free runs under each other, with their titles, which may be empty, and a label of their time; a panel for each
     state, as wide as a journal's page.
     """
     heights = [height for _, run in runs for name in run.mean for height in LOW[: 1 + (name in run.measured)]]
     titles = sum(bool(title) for title, _ in runs)
     whole = 7.0 + sum(heights) + 8.0 * len(runs) + 6.0 * titles
-    figure, axes = new_panels(len(heights), height=whole, height_ratios=heights)
+    figure, axes = style.new_panels(len(heights), height=whole, height_ratios=heights)
     panels = iter(axes[:, 0])
     for title, run in runs:
         for k, name in enumerate(run.mean):
             ax = next(panels)
             _state(ax, run, name)
             if title and k == 0:
-                ax.set_title(plain(title))
+                ax.set_title(style.plain(title))
             if name in run.measured:
                 ax.tick_params(axis="x", labelbottom=False)
                 ax = next(panels)
@@ -147,13 +121,13 @@ def draw_forecasts(runs: Sequence[tuple[str, Run]], time: str = "time [s]") -> F
             ax.tick_params(axis="x", labelbottom=k == len(run.mean) - 1)
         ax.set_xlabel(time)
     figure.align_ylabels()
-    figure.legend(handles=labelled(axes.flat), loc="outside upper right", ncols=4, handlelength=2.2)
+    figure.legend(handles=style.labelled(axes.flat), loc="outside upper right", ncols=4, handlelength=2.2)
     return figure
 
 
-@picture
+@style.picture
 def free_run(
-    eq: Answer,
+    eq: style.Answer,
     record: Record,
     ax: Any = None,
     *,
@@ -194,30 +168,31 @@ def free_run(
         matplotlib is not installed.
     """
     run = eq.simulate(record, draws=draws, start=_first_row(eq, record.n) if start is None else start, rows=rows)
-    name = channel_of(run, channel)
-    upper, lower = axes_for(ax, HEIGHTS, FULL_WIDTH, sharex=True)
+    name = style.channel_of(run, channel)
+    upper, lower = style.axes_for(ax, HEIGHTS, style.FULL_WIDTH, sharex=True)
     _state(upper, run, name)
     _residual(lower, run.time, run.measured[name], _curve(run, name), "free run")
     _mark_blow_up(lower, run)
-    lower.set_ylabel(label_of(name, run.units, "residual"))
-    lower.set_xlabel(time_label(eq))
+    lower.set_ylabel(style.label_of(name, run.units, "residual"))
+    lower.set_xlabel(style.time_label(eq))
     error = run.measured[name] - run.mean[name]
     spread = float(np.nanstd(run.measured[name]))
     share = float(np.sqrt(np.nanmean(error**2))) / spread if spread > 0 and np.isfinite(error).any() else np.nan
-    upper.set_title(f"free run of {term_label(name)}" + (f": RMS error {100 * share:.2g} %" if share == share else ""))
-    above(upper)
+    error_text = f": RMS error {100 * share:.2g} %" if share == share else ""
+    upper.set_title(f"free run of {style.term_label(name)}{error_text}")
+    style.above(upper)
     return upper, lower
 
 
-def _first_row(eq: Answer, n: int) -> int:
+def _first_row(eq: style.Answer, n: int) -> int:
     """The first row that was held out, or that of the last fifth."""
     start = n - int((eq.data.holdout or LAST) * n)
     return start if start < n - 1 else 0
 
 
-@picture
+@style.picture
 def one_step(
-    eq: Answer,
+    eq: style.Answer,
     record: Record,
     ax: Any = None,
     *,
@@ -254,7 +229,7 @@ def one_step(
     MissingExtraError
         matplotlib is not installed.
     """
-    equation = equation_of(eq, target)
+    equation = style.equation_of(eq, target)
     motion = eq.motion(record)
     first = motion.n - int((eq.data.holdout or LAST) * motion.n) if start is None else start
     last = motion.n if rows is None else first + rows
@@ -264,20 +239,20 @@ def one_step(
     mean, sd = equation.predict({name: values[part] for name, values in motion.columns.items()}, return_std=True)
     time = np.arange(first, last, dtype=np.float64) if motion.time is None else motion.time[part]
     measured = motion.observed[equation.target][part]
-    upper, lower = axes_for(ax, HEIGHTS, FULL_WIDTH, sharex=True)
+    upper, lower = style.axes_for(ax, HEIGHTS, style.FULL_WIDTH, sharex=True)
     curve = (mean, mean - Z95 * sd, mean + Z95 * sd)
-    _compare(upper, time, measured, curve, "one step", given_as(eq, equation.target))
-    _residual(lower, time, measured, curve, "one step", given_as(eq, equation.target))
-    upper.set_ylabel(label_of(equation.target, equation.units))
-    lower.set_ylabel(label_of(equation.target, equation.units, "residual"))
-    lower.set_xlabel("row" if motion.time is None else time_label(eq))
-    upper.set_title(f"one step of {term_label(equation.target)}")
-    above(upper)
+    _compare(upper, time, measured, curve, "one step", style.given_as(eq, equation.target))
+    _residual(lower, time, measured, curve, "one step", style.given_as(eq, equation.target))
+    upper.set_ylabel(style.label_of(equation.target, equation.units))
+    lower.set_ylabel(style.label_of(equation.target, equation.units, "residual"))
+    lower.set_xlabel("row" if motion.time is None else style.time_label(eq))
+    upper.set_title(f"one step of {style.term_label(equation.target)}")
+    style.above(upper)
     return upper, lower
 
 
-@picture
-def measured_against_predicted(eq: Answer, record: Record, ax: Any = None, *, target: str | None = None) -> Axes:
+@style.picture
+def measured_against_predicted(eq: style.Answer, record: Record, ax: Any = None, *, target: str | None = None) -> Axes:
     """The target of an equation, measured or estimated, over what the equation gives at the states of the same row.
 
     Parameters
@@ -304,32 +279,33 @@ def measured_against_predicted(eq: Answer, record: Record, ax: Any = None, *, ta
     MissingExtraError
         matplotlib is not installed.
     """
-    equation = equation_of(eq, target)
+    equation = style.equation_of(eq, target)
     rows = eq.motion(record)
     measured = rows.observed[equation.target]
     predicted = np.asarray(equation.predict(rows.columns))
-    (ax,) = axes_for(ax, [70.0], SINGLE_COLUMN)
-    every = thinned(rows.n)
+    (ax,) = style.axes_for(ax, [70.0], style.SINGLE_COLUMN)
+    every = style.thinned(rows.n)
     used = np.arange(rows.n)[every] < rows.n - int(eq.data.holdout * rows.n)
     look: dict[str, Any] = {"markersize": 2.6, "markeredgewidth": 0.6, "alpha": 0.6, "rasterized": True}
-    for part, marker, colour, label in ((used, ".", BLUE, "rows used"), (~used, "+", ORANGE, "rows held out")):
+    kinds = ((used, ".", style.BLUE, "rows used"), (~used, "+", style.ORANGE, "rows held out"))
+    for part, marker, colour, label in kinds:
         if part.any():
             ax.plot(predicted[every][part], measured[every][part], marker, color=colour, label=label, **look)
     ends = np.array([np.nanmin([measured, predicted]), np.nanmax([measured, predicted])])
-    ax.plot(ends, ends, color=BLACK, linewidth=0.7, label="equal")
+    ax.plot(ends, ends, color=style.BLACK, linewidth=0.7, label="equal")
     error = measured - predicted
     r2 = 1.0 - float(np.nanvar(error) / np.nanvar(measured)) if np.nanvar(measured) > 0 else float("nan")
     ax.text(0.04, 0.96, f"$R^2$ = {r2:.4f}", transform=ax.transAxes, ha="left", va="top")
-    ax.set_xlabel(label_of(equation.target, equation.units, "predicted {}"))
-    ax.set_ylabel(label_of(equation.target, equation.units, f"{given_as(eq, equation.target)} {{}}"))
-    titled(ax, eq, equation.target)
+    ax.set_xlabel(style.label_of(equation.target, equation.units, "predicted {}"))
+    ax.set_ylabel(style.label_of(equation.target, equation.units, f"{style.given_as(eq, equation.target)} {{}}"))
+    style.titled(ax, eq, equation.target)
     ax.legend(loc="lower right", fontsize=7, markerscale=2.0, handlelength=1.4)
     return ax
 
 
-@picture
+@style.picture
 def phase_portrait(
-    eq: Answer,
+    eq: style.Answer,
     record: Record,
     ax: Any = None,
     *,
@@ -375,20 +351,20 @@ def phase_portrait(
             raise UnknownNameError("state", name, names)
     motion = eq.motion(record)
     run = eq.simulate(record, draws=0, start=_first_row(eq, record.n) if start is None else start, rows=rows)
-    (ax,) = axes_for(ax, [70.0], SINGLE_COLUMN)
+    (ax,) = style.axes_for(ax, [70.0], style.SINGLE_COLUMN)
     x, y = (motion.columns[name] for name in chosen)
     times = np.arange(motion.n) if motion.time is None else motion.time
     same = (times >= run.time[0]) & (times <= run.time[-1])
-    ax.plot(x[thinned(motion.n)], y[thinned(motion.n)], color=PALE, linewidth=0.6, label="record")
+    ax.plot(x[style.thinned(motion.n)], y[style.thinned(motion.n)], color=style.PALE, linewidth=0.6, label="record")
     ax.plot(x[same], y[same], **MEASURED | {"label": "record, rows of the run"})
-    across, up = (run.mean[name][thinned(len(run.time))] for name in chosen)
+    across, up = (run.mean[name][style.thinned(len(run.time))] for name in chosen)
     ax.plot(across, up, label="free run", **DRAWN)
-    ax.plot(across[:1], up[:1], "o", color=BLACK, markersize=3.6, label="start")
+    ax.plot(across[:1], up[:1], "o", color=style.BLACK, markersize=3.6, label="start")
     for values, fit in ((x, ax.set_xlim), (y, ax.set_ylim)):
         low, high = float(values.min()), float(values.max())
         margin = 0.1 * (high - low) or 1.0
         fit(low - margin, high + margin)
-    ax.set_xlabel(label_of(chosen[0], units_of(eq)))
-    ax.set_ylabel(label_of(chosen[1], units_of(eq)))
-    above(ax, handlelength=1.4, columnspacing=0.9)
+    ax.set_xlabel(style.label_of(chosen[0], style.units_of(eq)))
+    ax.set_ylabel(style.label_of(chosen[1], style.units_of(eq)))
+    style.above(ax, handlelength=1.4, columnspacing=0.9)
     return ax

@@ -12,28 +12,7 @@ from numpy.typing import NDArray
 
 from bayeq.errors import InputError
 from bayeq.expressions import Evaluator
-from bayeq.figures.style import (
-    BLACK,
-    BLUE,
-    DASHED,
-    ORANGE,
-    PALE,
-    RED,
-    SINGLE_COLUMN,
-    Answer,
-    above,
-    axes_for,
-    equation_of,
-    labelled,
-    likely_terms,
-    new_panels,
-    picture,
-    plain,
-    shortened,
-    term_label,
-    titled,
-    unit_text,
-)
+from bayeq.figures import style
 from bayeq.numerics.distributions import Z95
 from bayeq.records import Record
 
@@ -50,11 +29,11 @@ def _bars(ax: Axes, labels: Sequence[str], pip: Sequence[float], shown: Sequence
     """A bar for each term, as long as its probability: filled where the term is in the equation."""
     at, length, filled = np.arange(len(labels)), np.asarray(pip), np.asarray(shown, dtype=bool)
     ax.set_axisbelow(True)
-    ax.grid(axis="x", color=PALE, linewidth=0.5)
-    for chosen, colour, label in ((filled, BLUE, "in the equation"), (~filled, "white", "not in it")):
+    ax.grid(axis="x", color=style.PALE, linewidth=0.5)
+    for chosen, colour, label in ((filled, style.BLUE, "in the equation"), (~filled, "white", "not in it")):
         if chosen.any():
-            ax.barh(at[chosen], length[chosen], 0.62, color=colour, edgecolor=BLACK, linewidth=0.5, label=label)
-    ax.axvline(0.5, color=RED, linestyle=DASHED, linewidth=0.8)
+            ax.barh(at[chosen], length[chosen], 0.62, color=colour, edgecolor=style.BLACK, linewidth=0.5, label=label)
+    ax.axvline(0.5, color=style.RED, linestyle=style.DASHED, linewidth=0.8)
     ax.set_yticks(at, labels)
     ax.set_ylim(max(len(at), 3) - 0.4, -0.6)
     ax.set_xlim(0.0, 1.0)
@@ -63,9 +42,10 @@ def _bars(ax: Axes, labels: Sequence[str], pip: Sequence[float], shown: Sequence
 def draw_terms(ax: Axes, target: str, terms: Sequence[tuple[str, float, str]], score: str) -> None:
     """Term, probability and coefficient as text, which is empty for a term that is not shown: a bar for each."""
     names = [name for name, _, _ in terms]
-    _bars(ax, [term_label(name, names) for name in names], [pip for _, pip, _ in terms], [bool(c) for _, _, c in terms])
+    labels = [style.term_label(name, names) for name in names]
+    _bars(ax, labels, [pip for _, pip, _ in terms], [bool(c) for _, _, c in terms])
     ax.set_xlabel(f"{score} (a blue bar: in the equation; right: coefficient, 95 % interval)")
-    ax.set_title(term_label(target), loc="left")
+    ax.set_title(style.term_label(target), loc="left")
     for place, (_, _, coefficient) in enumerate(terms):
         _beside(ax, place, coefficient.replace("-", "\N{MINUS SIGN}"))
 
@@ -75,8 +55,8 @@ def _beside(ax: Axes, place: float, text: str, **look: Any) -> None:
     ax.text(1.02, place, text, transform=ax.get_yaxis_transform(), ha="left", va="center", **look)
 
 
-@picture
-def pip_bars(eq: Answer, record: Record | None = None, ax: Any = None, *, target: str | None = None) -> Axes:
+@style.picture
+def pip_bars(eq: style.Answer, record: Record | None = None, ax: Any = None, *, target: str | None = None) -> Axes:
     """Posterior inclusion probabilities (PIP) of the terms shown and of the likeliest others.
 
     Parameters
@@ -102,28 +82,30 @@ def pip_bars(eq: Answer, record: Record | None = None, ax: Any = None, *, target
     MissingExtraError
         matplotlib is not installed.
     """
-    equation = equation_of(eq, target)
-    listed = likely_terms(equation)
+    equation = style.equation_of(eq, target)
+    listed = style.likely_terms(equation)
     names = [term.text for term in equation.terms]
     pip, shown = equation.posterior.pip[listed], equation.shown_posterior.support[listed]
-    (ax,) = axes_for(ax, [5.0 * max(len(listed), 3) + 20.0], SINGLE_COLUMN)
-    _bars(ax, [term_label(names[j], names) for j in listed], pip.tolist(), shown.tolist())
+    (ax,) = style.axes_for(ax, [5.0 * max(len(listed), 3) + 20.0], style.SINGLE_COLUMN)
+    _bars(ax, [style.term_label(names[j], names) for j in listed], pip.tolist(), shown.tolist())
     for place, value in enumerate(pip.tolist()):
         inside = value > 0.8
-        colour = "white" if inside and shown[place] else BLACK
+        colour = "white" if inside and shown[place] else style.BLACK
         side: dict[str, Any] = {"ha": "right" if inside else "left", "va": "center", "fontsize": 7, "color": colour}
         ax.text(value + (-0.015 if inside else 0.015), place, f"{value:.3f}", **side)
     rest = len(names) - len(listed)
     most = float(np.delete(equation.posterior.pip, listed).max(initial=0.0))
     ax.set_xlabel(f"PIP ({rest} more terms: at most {most:.1g})" if rest else "posterior inclusion probability")
-    titled(ax, eq, equation.target)
+    style.titled(ax, eq, equation.target)
     if listed:
-        above(ax)
+        style.above(ax)
     return ax
 
 
-@picture
-def coefficient_forest(eq: Answer, record: Record | None = None, ax: Any = None, *, target: str | None = None) -> Axes:
+@style.picture
+def coefficient_forest(
+    eq: style.Answer, record: Record | None = None, ax: Any = None, *, target: str | None = None
+) -> Axes:
     """Coefficients of the terms shown with their 95 % intervals, as deviations from the estimate in per cent of it.
 
     So coefficients of different units stand on one scale: how well each is known. The numbers themselves, with their
@@ -152,34 +134,34 @@ def coefficient_forest(eq: Answer, record: Record | None = None, ax: Any = None,
     MissingExtraError
         matplotlib is not installed.
     """
-    equation = equation_of(eq, target)
+    equation = style.equation_of(eq, target)
     shown = equation.shown_posterior
     kept = np.flatnonzero(shown.support & (shown.coef != 0))
     coef, sd, intervals = shown.coef[kept], shown.sd[kept], equation.printed_ci95[kept]
     names = [term.text for term in equation.terms]
-    (ax,) = axes_for(ax, [6.0 * max(len(kept), 3) + 20.0], SINGLE_COLUMN)
+    (ax,) = style.axes_for(ax, [6.0 * max(len(kept), 3) + 20.0], style.SINGLE_COLUMN)
     at = np.arange(len(kept))
     off = 100.0 * np.sort((intervals - coef[:, None]) / np.abs(coef)[:, None], axis=1)
-    ax.axvline(0.0, color=PALE, linewidth=1.0, zorder=0)
-    ax.hlines(at, off[:, 0], off[:, 1], color=BLUE, linewidth=2.2, label="95 % interval")
-    ax.plot(np.zeros(len(kept)), at, "o", color=BLACK, markersize=3.2, label="estimate")
+    ax.axvline(0.0, color=style.PALE, linewidth=1.0, zorder=0)
+    ax.hlines(at, off[:, 0], off[:, 1], color=style.BLUE, linewidth=2.2, label="95 % interval")
+    ax.plot(np.zeros(len(kept)), at, "o", color=style.BLACK, markersize=3.2, label="estimate")
     truth = {} if record is None or record.truth is None else record.truth.coefficients.get(equation.target, {})
     known = [k for k, j in enumerate(kept) if names[j] in truth]
     if known:
         true = np.array([truth[names[kept[k]]] for k in known])
         error = 100.0 * (true - coef[known]) / np.abs(coef[known])
-        ax.plot(error, at[known], "D", color=RED, markerfacecolor="none", markersize=5.0, label="true")
-    ax.set_yticks(at, [term_label(names[j], names) for j in kept])
+        ax.plot(error, at[known], "D", color=style.RED, markerfacecolor="none", markersize=5.0, label="true")
+    ax.set_yticks(at, [style.term_label(names[j], names) for j in kept])
     ax.set_ylim(max(len(kept), 3) - 0.4, -0.6)
     reach = 1.15 * float(np.abs(off).max(initial=1e-6))
     ax.set_xlim(-reach, reach)
     for place, (j, value, spread) in enumerate(zip(kept, coef, sd, strict=True)):
-        unit = shortened(unit_text(equation.coef_units[j] or ""))
+        unit = style.shortened(style.unit_text(equation.coef_units[j] or ""))
         text = _number(value, spread) + (f" {unit}" if unit not in ("", "1") else "")
-        _beside(ax, place, plain(text.replace("-", "\N{MINUS SIGN}", 1) if value < 0 else text), fontsize=7)
+        _beside(ax, place, style.plain(text.replace("-", "\N{MINUS SIGN}", 1) if value < 0 else text), fontsize=7)
     ax.set_xlabel("deviation from the estimate [% of it]")
-    titled(ax, eq, equation.target)
-    above(ax, handlelength=1.2)
+    style.titled(ax, eq, equation.target)
+    style.above(ax, handlelength=1.2)
     return ax
 
 
@@ -200,8 +182,8 @@ def _number(value: float, sd: float) -> str:
     return f"({value * scale:.{digits}f} ± {Z95 * sd * scale:.{digits}f})e{power}"
 
 
-@picture
-def candidate_correlation(eq: Answer, record: Record, ax: Any = None, *, target: str | None = None) -> Axes:
+@style.picture
+def candidate_correlation(eq: style.Answer, record: Record, ax: Any = None, *, target: str | None = None) -> Axes:
     """Correlation of the terms shown and of the likeliest others over the rows of a record.
 
     Terms whose columns are nearly alike (close to 1 or -1) are those that a record can hardly tell apart.
@@ -231,8 +213,8 @@ def candidate_correlation(eq: Answer, record: Record, ax: Any = None, *, target:
     MissingExtraError
         matplotlib is not installed.
     """
-    equation = equation_of(eq, target)
-    listed = likely_terms(equation)
+    equation = style.equation_of(eq, target)
+    listed = style.likely_terms(equation)
     others = [j for j in np.argsort(-equation.posterior.pip, kind="stable").tolist() if j not in listed]
     listed += others[: max(LEAST_TERMS - len(listed), 0)]
     if not listed:
@@ -240,11 +222,11 @@ def candidate_correlation(eq: Answer, record: Record, ax: Any = None, *, target:
     evaluate = Evaluator(eq.motion(record).columns)
     correlation = _correlation([np.asarray(evaluate(equation.terms[j])) for j in listed])
     names = [term.text for term in equation.terms]
-    (ax,) = axes_for(ax, [min(max(6.0 * len(listed), 36.0), 62.0) + 18.0], SINGLE_COLUMN)
+    (ax,) = style.axes_for(ax, [min(max(6.0 * len(listed), 36.0), 62.0) + 18.0], style.SINGLE_COLUMN)
     image = ax.imshow(correlation, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
     ax.figure.colorbar(image, ax=ax, label="correlation", shrink=0.9).outline.set_linewidth(0.5)
     at = np.arange(len(listed))
-    labels = [term_label(names[j], names) for j in listed]
+    labels = [style.term_label(names[j], names) for j in listed]
     ax.set_xticks(at, labels, rotation=90)
     ax.xaxis.tick_top()
     ax.set_yticks(at, labels)
@@ -252,12 +234,12 @@ def candidate_correlation(eq: Answer, record: Record, ax: Any = None, *, target:
     font = 6.5 if len(listed) <= 10 else 4.5
     for (i, k), value in np.ndenumerate(correlation):
         text = "1" if i == k else f"{value:.2f}".replace("0.", ".").replace("-", "\N{MINUS SIGN}")
-        colour = "white" if abs(value) > 0.6 else BLACK
+        colour = "white" if abs(value) > 0.6 else style.BLACK
         ax.text(k, i, text, ha="center", va="center", fontsize=font, color=colour)
     inside = int(equation.shown_posterior.support[listed].sum())
     for edge in (ax.axvline, ax.axhline):
         if 0 < inside < len(listed):
-            edge(inside - 0.5, color=BLACK, linewidth=0.9)
+            edge(inside - 0.5, color=style.BLACK, linewidth=0.9)
     return ax
 
 
@@ -274,10 +256,10 @@ PANEL, AROUND = 35.0, 30.0
 
 # Verdicts by mark and colour, which differ in lightness too.
 MARKS: dict[str, dict[str, Any]] = {
-    "found": {"marker": "o", "color": BLUE},
-    "nearly true": {"marker": "s", "color": ORANGE, "markeredgecolor": BLACK, "markeredgewidth": 0.4},
-    "not determined": {"marker": "o", "color": BLUE, "markerfacecolor": "white"},
-    "none": {"marker": "x", "color": RED},
+    "found": {"marker": "o", "color": style.BLUE},
+    "nearly true": {"marker": "s", "color": style.ORANGE, "markeredgecolor": style.BLACK, "markeredgewidth": 0.4},
+    "not determined": {"marker": "o", "color": style.BLUE, "markerfacecolor": "white"},
+    "none": {"marker": "x", "color": style.RED},
 }
 
 # Panels at most, of the terms that are in most files.
@@ -287,7 +269,7 @@ MOST = 12
 NAMES, LONGEST = 24, 16
 
 
-@picture
+@style.picture
 def draw_drift(table: pd.DataFrame) -> Figure:
     """Coefficients with 95 % intervals over files, from left to right, a panel for each target and term.
 
@@ -297,50 +279,45 @@ def draw_drift(table: pd.DataFrame) -> Figure:
     """
     if not len(table):
         raise InputError("no file has an equation: there is nothing to draw; see the messages of the files")
-    panels, note = _panels(table)
-    figure, axes = new_panels(len(panels), height=len(panels) * PANEL + AROUND, sharex=True)
+    every = list(dict.fromkeys(zip(table.target, table.term, strict=True)))
+    files = table.groupby(["target", "term"]).shown.sum()
+    kept = sorted(every, key=lambda one: -files[one])[:MOST]
+    panels, rest = [one for one in every if one in kept], [int(files[one]) for one in every if one not in kept]
+    figure, axes = style.new_panels(len(panels), height=len(panels) * PANEL + AROUND, sharex=True)
     several = table.target.nunique() > 1
     for ax, (target, term) in zip(axes[:, 0], panels, strict=True):
         rows = table[(table.target == target) & (table.term == term)]
         _panel(ax, rows, f"{target}: " if several else "")
     _files(axes[-1, 0], table)
-    handles = labelled(axes.flat)
-    above(axes[0, 0], len(handles), handles=handles, fontsize=8)
-    if note:
+    handles = style.labelled(axes.flat)
+    style.above(axes[0, 0], len(handles), handles=handles, fontsize=8)
+    if rest:
+        note = f"{len(rest)} more terms, each in at most {max(rest)} of the files, are in the table"
         figure.supxlabel(note, x=0.01, ha="left", fontsize=7)
     return figure
-
-
-def _panels(table: pd.DataFrame) -> tuple[list[tuple[str, str]], str]:
-    """Targets and terms to draw, those of most files, and what is said of the others."""
-    every = list(dict.fromkeys(zip(table.target, table.term, strict=True)))
-    files = table.groupby(["target", "term"]).shown.sum()
-    kept = sorted(every, key=lambda one: -files[one])[:MOST]
-    rest = [int(files[one]) for one in every if one not in kept]
-    note = f"{len(rest)} more terms, each in at most {max(rest)} of the files, are in the table" if rest else ""
-    return [one for one in every if one in kept], note
 
 
 def _panel(ax: Axes, rows: pd.DataFrame, before: str) -> None:
     """The coefficient of one term."""
     ax.set_axisbelow(True)
-    ax.grid(axis="y", color=PALE, linewidth=0.5)
+    ax.grid(axis="y", color=style.PALE, linewidth=0.5)
     if "common_coef" in rows:
         common = rows.iloc[0]
-        band: dict[str, Any] = {"color": PALE, "linewidth": 0, "zorder": 0, "label": "common equation, 95 %"}
+        band: dict[str, Any] = {"color": style.PALE, "linewidth": 0, "zorder": 0, "label": "common equation, 95 %"}
         ax.axhspan(common.common_ci_low, common.common_ci_high, **band)
-        ax.axhline(common.common_coef, color=BLACK, linewidth=0.6, zorder=1)
+        ax.axhline(common.common_coef, color=style.BLACK, linewidth=0.6, zorder=1)
     drawn = rows[rows.shown]
-    ax.vlines(drawn.order, drawn.ci_low, drawn.ci_high, color=BLUE, linewidth=0.9, zorder=2, label="95 % interval")
+    look: dict[str, Any] = {"color": style.BLUE, "linewidth": 0.9, "zorder": 2, "label": "95 % interval"}
+    ax.vlines(drawn.order, drawn.ci_low, drawn.ci_high, **look)
     size = 3.4 if len(rows) <= 80 else 2.2
     for kind, look in MARKS.items():
         own = drawn[drawn.verdict == kind]
         if len(own):
             ax.plot(own.order, own.coef, linestyle="none", markersize=size, zorder=3, label=kind, **look)
     units = {unit if isinstance(unit, str) else "" for unit in rows.unit}  # pandas makes NaN of None
-    unit = "units differ" if len(units) > 1 else plain(unit_text(units.pop()))
-    name = term_label(rows.term.iloc[0], tuple(rows.term)) if rows.term.iloc[0] != "1" else "constant"
-    ax.set_ylabel(f"{plain(before)}{name}" + (f"\n[{unit}]" if unit not in ("", "1") else ""))
+    unit = "units differ" if len(units) > 1 else style.plain(style.unit_text(units.pop()))
+    name = style.term_label(rows.term.iloc[0], tuple(rows.term)) if rows.term.iloc[0] != "1" else "constant"
+    ax.set_ylabel(f"{style.plain(before)}{name}" + (f"\n[{unit}]" if unit not in ("", "1") else ""))
     ax.locator_params(axis="y", nbins=5)
     ax.ticklabel_format(axis="y", useOffset=False, scilimits=(-4, 5))
 
@@ -352,5 +329,5 @@ def _files(ax: Axes, table: pd.DataFrame) -> None:
     shown = orders[:: -(-len(orders) // NAMES)]
     stems = [PurePath(str(names[order])).stem for order in shown]
     short = [stem if len(stem) <= LONGEST else f"…{stem[1 - LONGEST :]}" for stem in stems]
-    ax.set_xticks(shown, [plain(stem) for stem in short], rotation=90)
+    ax.set_xticks(shown, [style.plain(stem) for stem in short], rotation=90)
     ax.set_xlim(orders[0] - 0.8, orders[-1] + 0.8)

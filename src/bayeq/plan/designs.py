@@ -58,11 +58,7 @@ def _synthesised(n: int, lines: NDArray[np.intp], amplitudes: NDArray[np.complex
     """One period of a sum of lines with these complex amplitudes, the largest magnitude 1."""
     spectrum = np.zeros(n // 2 + 1, dtype=np.complex128)
     spectrum[lines] = amplitudes
-    return _normalised(np.fft.irfft(spectrum, n))
-
-
-def _normalised(samples: Floats) -> Floats:
-    """Samples with the largest magnitude 1."""
+    samples = np.fft.irfft(spectrum, n)
     return samples / np.abs(samples).max()
 
 
@@ -93,7 +89,8 @@ def sweep(n: int, fs: float, band: Band, rng: np.random.Generator) -> Floats:
         start, end = end, start
     time = np.arange(n) / fs
     phase = start * time + 0.5 * (end - start) / seconds * time**2
-    return _normalised(np.sin(2.0 * np.pi * (phase + rng.random())))
+    samples = np.sin(2.0 * np.pi * (phase + rng.random()))
+    return samples / np.abs(samples).max()
 
 
 EXCITATIONS: dict[str, Excitation] = {
@@ -325,10 +322,8 @@ def _lines(conditions: Conditions, band: tuple[float, float]) -> int:
 
 def shapes(design: Design, conditions: Conditions, seed: tuple[int, ...]) -> Floats:
     """One realisation for all inputs, (n, m), largest magnitudes 1: independent of each other."""
-    rng = np.random.default_rng(seed)
-    kind = EXCITATIONS[design.kind]
-    columns = [kind.samples(conditions.n, conditions.fs, design.band, rng) for _ in conditions.reach]
-    return np.column_stack(columns)
+    rng, samples = np.random.default_rng(seed), EXCITATIONS[design.kind].samples
+    return np.column_stack([samples(conditions.n, conditions.fs, design.band, rng) for _ in conditions.reach])
 
 
 class Motions:

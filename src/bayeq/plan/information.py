@@ -1,4 +1,4 @@
-"""The likeliest models of an equation, and what a motion tells about them: expected log Bayes factors.
+"""The likeliest models of an equation, and what a motion says of them: expected log Bayes factors.
 
 Two models of a target y, with terms D_L and D_R, are both fitted to a new record. With noise of variance sigma^2 the
 log Bayes factor of a true L against R, by Schwarz's approximation of both evidences, is expected to be
@@ -18,7 +18,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayeq.arrays import Floats
 from bayeq.inference.collapsed.search import neighbours
@@ -65,28 +64,23 @@ def likeliest_models(fit: RegressionFit) -> tuple[CandidateModel, ...]:
     Those of the average; without one, the model found and those one move away, by their odds against it. An engine
     without a spike-and-slab prior has its own model alone.
     """
-    models, probability = _listed(fit)
-    out = []
+    posterior, out = fit.posterior, []
+    if posterior.average is not None:
+        models, probability = posterior.average.models, posterior.average.probability
+    else:
+        compares = ENGINES[posterior.method].spike_slab
+        moves = neighbours(fit.problem, posterior.support, PLAN.models_within) if compares else []
+        listed = np.array([posterior.support, *(move.apply(posterior.support) for move in moves)])
+        log_odds = np.array([0.0, *(move.gain for move in moves)])
+        order = np.argsort(-log_odds, kind="stable")
+        weight = np.exp(log_odds[order] - log_odds.max())
+        models, probability = listed[order], weight / weight.sum()
     for model, share in zip(models[:KEPT], probability[:KEPT], strict=True):
         found = fit.expanded(fit.given(model))
         members = np.flatnonzero(found.support)
         coef = tuple(found.coef[members].tolist())
         out.append(CandidateModel(float(share), tuple(members.tolist()), coef, found.intercept))
     return tuple(out)
-
-
-def _listed(fit: RegressionFit) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
-    posterior = fit.posterior
-    if posterior.average is not None:
-        return posterior.average.models, posterior.average.probability
-    moves = (
-        neighbours(fit.problem, posterior.support, PLAN.models_within) if ENGINES[posterior.method].spike_slab else []
-    )
-    models = np.array([posterior.support, *(move.apply(posterior.support) for move in moves)])
-    log_odds = np.array([0.0, *(move.gain for move in moves)])
-    order = np.argsort(-log_odds, kind="stable")
-    weight = np.exp(log_odds[order] - log_odds.max())
-    return models[order], weight / weight.sum()
 
 
 # Directions of the centred and scaled terms below this share of the largest are rounding.

@@ -109,11 +109,16 @@ class _Planning:
         outcomes.sort(key=lambda one: -one.rate)
         best = outcomes[0]
         samples = c.offset + np.array(list(best.amplitudes.values())) * shapes(best.design, c, (seed, 0))
+        decided = None
+        if not self.rivals and self.listed:  # the likeliest rival of all, which is beyond the odds
+            k, model = self.listed[0]
+            equation = self.equations[k]
+            decided = _compared(equation, equation.models[0].posterior(equation.shown_posterior), model)
         return Plan(
             purpose="models" if self.rivals else "coefficients",
             leading=tuple(_named(e, model) for e, model in zip(self.equations, self.leading, strict=True)),
             rivals=tuple(rival.compared for rival in self.rivals),
-            decided=self._decided() if not self.rivals and self.listed else None,
+            decided=decided,
             outcomes=tuple(outcomes),
             time=np.arange(c.n) / c.fs,
             inputs=dict(zip(inputs, samples.T, strict=True)),
@@ -132,12 +137,6 @@ class _Planning:
             ranges={name: max(abs(low), abs(high)) for name, (low, high) in c.ranges.items()},
         )
 
-    def _decided(self) -> Compared:
-        """The likeliest rival of all, which is beyond the odds."""
-        k, model = self.listed[0]
-        equation = self.equations[k]
-        return _compared(equation, equation.models[0].posterior(equation.shown_posterior), model)
-
     def _outcome(self, design: Design, realised: Sequence[Floats], share: float) -> Outcome:
         """What realisations of a design, at a share of the amplitude that keeps the limits, are expected to tell."""
         lead, seconds_each = self.lead, self.conditions.seconds
@@ -151,19 +150,16 @@ class _Planning:
             separations.sort(key=lambda one: one.rate)
             rate, sd, seconds = separations[0].rate, separations[0].sd, max(one.seconds for one in separations)
         else:
-            gains = [np.concatenate(self._gains(run)) for run in runs]
+            known = list(zip(self.equations, self.leading, self.conditions.noise, strict=True))
+            gains = [
+                np.concatenate([coefficient_gain(_columns(e, p, run), p.covariance, noise**2) for e, p, noise in known])
+                for run in runs
+            ]
             rates = np.array([0.5 * float(np.log1p(gain).sum()) for gain in gains]) / seconds_each
             rate, sd = float(rates.mean()), float(rates.std(ddof=1))
             seconds = float(np.mean([seconds_to_halve(gain, seconds_each) for gain in gains]))
         amplitudes = dict(zip(lead.dynamics.inputs, (share * self.conditions.reach).tolist(), strict=True))
         return Outcome(design, amplitudes, share not in SHARES, rate, sd, seconds, peaks, tuple(separations))
-
-    def _gains(self, run: Mapping[str, Floats]) -> list[Floats]:
-        """Gains of information on the coefficients of each equation."""
-        return [
-            coefficient_gain(_columns(equation, model, run), model.covariance, noise**2)
-            for equation, model, noise in zip(self.equations, self.leading, self.conditions.noise, strict=True)
-        ]
 
     def _separation(
         self,

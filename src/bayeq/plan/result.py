@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -294,7 +294,10 @@ def advice(plan: Plan) -> str:
         by_size = [one.by_size for one in best.separations if one.by_size is not None]
         if by_size:
             until += f" (if the smaller of nested models is, after {duration(max(by_size))}, whatever the excitation)"
-        return f"{what}: {length} separates {_of(plan, rival)} by {nats:.3g} nats; {until}"
+        where = f"{rival.target}: " if len(plan.leading) > 1 else ""
+        leading = next(model for model in plan.leading if model.target == rival.target)
+        told = f"{where}{leading.name} from the closest rival ({rival.name})"
+        return f"{what}: {length} separates {told} by {nats:.3g} nats; {until}"
     return (
         f"{what}: {length} brings {nats:.3g} nats about the coefficients, whose"
         f" standard deviations are expected to be halved after {duration(best.seconds)}"
@@ -309,13 +312,6 @@ def amplitudes(plan: Plan, outcome: Outcome) -> str:
         around = f"+-{size:.3g}" if abs(middle) < 1e-9 * size else f"{middle - size:.3g} .. {middle + size:.3g}"
         out.append(f"{name} {around}{unit}" if len(outcome.amplitudes) > 1 else f"{around}{unit}")
     return ", ".join(out)
-
-
-def _of(plan: Plan, rival: Compared) -> str:
-    """The two models that are compared."""
-    where = f"{rival.target}: " if len(plan.leading) > 1 else ""
-    leading = next(model for model in plan.leading if model.target == rival.target)
-    return f"{where}{leading.name} from the closest rival ({rival.name})"
 
 
 def render(plan: Plan) -> str:
@@ -352,7 +348,7 @@ def render(plan: Plan) -> str:
     rest = len(plan.outcomes) - LISTED
     if rest > 0:
         console.print(f"{rest} more designs tell less")
-    for line in (*_extrapolation(plan), *_conditions(plan)):
+    for line in _notes(plan):
         console.print(escape(line))
     return printed(console)
 
@@ -382,26 +378,22 @@ def _models(plan: Plan) -> list[str]:
     return [*out, ""]
 
 
-def _extrapolation(plan: Plan) -> list[str]:
-    """How far the motion goes beyond the record."""
-    ratios = {
-        name: peak / plan.ranges[name] for name, peak in plan.best.peaks.items() if plan.ranges.get(name, 0.0) > 0
-    }
-    if not ratios:
-        return []
-    listed = ", ".join(f"{name} {ratio:.2g}" for name, ratio in ratios.items())
-    beyond = ": beyond 1 the equation is extrapolated, and a limit keeps it lower" if max(ratios.values()) > 1.0 else ""
-    return [f"motion under the best, largest magnitude over that of the record: {listed}{beyond}"]
-
-
-def _conditions(plan: Plan) -> list[str]:
-    c = plan.conditions
+def _notes(plan: Plan) -> Iterator[str]:
+    """How far the motion goes beyond the record, and what was simulated."""
+    peaks, c = plan.best.peaks, plan.conditions
+    ratios = {name: peak / plan.ranges[name] for name, peak in peaks.items() if plan.ranges.get(name, 0.0) > 0}
+    if ratios:
+        listed = ", ".join(f"{name} {ratio:.2g}" for name, ratio in ratios.items())
+        beyond = (
+            ": beyond 1 the equation is extrapolated, and a limit keeps it lower" if max(ratios.values()) > 1 else ""
+        )
+        yield f"motion under the best, largest magnitude over that of the record: {listed}{beyond}"
     noise = ", ".join(f"{name} {sd:.3g}" for name, sd in c["noise"].items())
     limits = "".join(f", |{name}| at most {limit:g}" for name, limit in c["limits"].items())
-    return [
+    yield (
         f"simulated from rest: {c['seconds']:.4g} s at {c['fs']:.4g} Hz, noise sd {noise}{limits};"
         f" {c['realisations']} realisations each"
-    ]
+    )
 
 
 @picture
@@ -411,8 +403,29 @@ def _drawn(plan: Plan) -> Figure:
     figure = new_figure(FULL_WIDTH, AROUND + ROW * max(len(shown), LEAST_ROWS), layout="constrained")
     axes = figure.subplot_mosaic([["rates", "spectrum"], ["rates", "start"]])
     _rates(axes["rates"], shown, plan.units, plan.purpose)
-    _spectrum(axes["spectrum"], plan)
-    _start(axes["start"], plan)
+    spectrum, start = axes["spectrum"], axes["start"]
+    n, dt, (low, high) = len(plan.time), float(plan.time[1] - plan.time[0]), plan.best.design.band
+    frequency, first = np.fft.rfftfreq(n, dt), plan.time <= PERIODS * 2.0 / (low + high)
+    # lines beyond the band tell nothing but rounding and the skirts of a sweep
+    near = (frequency >= low - 0.25 * (high - low)) & (frequency <= high + 0.25 * (high - low))
+    for k, (name, samples) in enumerate(plan.inputs.items()):
+        look: dict[str, Any] = {"color": LOOKS[k % len(LOOKS)][0], "linewidth": 0.8}
+        size = 2.0 / n * np.abs(np.fft.rfft(samples - plan.offsets[name]))
+        spectrum.vlines(frequency[near], 0.0, size[near], **look)
+        start.plot(plan.time[first], samples[first], label=name, **look)
+    units = {plan.units.get(name, "") for name in plan.inputs}
+    unit = units.pop() if len(units) == 1 else ""
+    for ax, along, up in (
+        (spectrum, "frequency [Hz]", "amplitude of a line"),
+        (start, "time [s]", ", ".join(plan.inputs)),
+    ):
+        ax.set_xlabel(along)
+        ax.set_ylabel(f"{up} [{unit}]" if unit else up)
+    spectrum.set_ylim(bottom=0.0)
+    spectrum.set_title("the best: spectrum")
+    start.set_title(f"the best: {'all of it' if first.all() else 'its beginning'}")
+    if len(plan.inputs) > 1:
+        start.legend(loc="upper right", ncols=2, fontsize=7)
     return figure
 
 
@@ -422,7 +435,11 @@ def _rates(ax: Axes, shown: Sequence[Outcome], units: Mapping[str, str], purpose
     best = max(shown[0].rate, np.finfo(float).tiny)
     # a spread that reaches down to nothing ends at the edge
     least = max(0.5 * min(one.rate for one in shown), LEAST * best)
+    labels = []
     for row, one in enumerate(shown):
+        pairs, (low, high) = one.amplitudes.items(), one.design.band
+        sizes = ", ".join(f"\N{PLUS-MINUS SIGN}{value:.3g} {units.get(name, '')}".rstrip() for name, value in pairs)
+        labels.append(f"{one.design.kind}, {low:.3g} to {high:.3g} Hz, {sizes}")
         colour, marker = LOOKS[kinds.index(one.design.kind) % len(LOOKS)]
         ax.plot([max(one.rate - one.sd, least), one.rate + one.sd], [row, row], color=colour, linewidth=1.0)
         ax.plot([max(one.rate, least)], [row], color=colour, marker=marker, markersize=3.6)
@@ -430,61 +447,8 @@ def _rates(ax: Axes, shown: Sequence[Outcome], units: Mapping[str, str], purpose
     ax.set_xlim(least, 1.5 * max(one.rate + one.sd for one in shown))
     log_ticks(ax.xaxis)
     ax.set_ylim(len(shown) - 0.4, -0.6)
-    ax.set_yticks(range(len(shown)), [_label(one, units) for one in shown])
+    ax.set_yticks(range(len(shown)), labels)
     ax.grid(axis="y", linewidth=0.3, alpha=0.4)
     told = "against the closest rival" if purpose == "models" else "about the coefficients"
     ax.set_xlabel(f"information {told} [nats/s]")
     ax.set_title("designs, mean \N{PLUS-MINUS SIGN} sd over realisations")
-
-
-def _label(one: Outcome, units: Mapping[str, str]) -> str:
-    low, high = one.design.band
-    size = ", ".join(
-        f"\N{PLUS-MINUS SIGN}{value:.3g} {units.get(name, '')}".rstrip() for name, value in one.amplitudes.items()
-    )
-    return f"{one.design.kind}, {low:.3g} to {high:.3g} Hz, {size}"
-
-
-def _inputs(plan: Plan) -> list[tuple[str, Floats, dict[str, Any]]]:
-    """Name, samples and look of each input of the best excitation."""
-    return [
-        (name, samples, {"color": LOOKS[k % len(LOOKS)][0], "linewidth": 0.8})
-        for k, (name, samples) in enumerate(plan.inputs.items())
-    ]
-
-
-def _spectrum(ax: Axes, plan: Plan) -> None:
-    """Amplitude of each line."""
-    n, dt = len(plan.time), float(plan.time[1] - plan.time[0])
-    low, high = plan.outcomes[0].design.band
-    frequency = np.fft.rfftfreq(n, dt)
-    width = high - low
-    # lines beyond the band tell nothing but rounding and the skirts of a sweep
-    near = (frequency >= low - 0.25 * width) & (frequency <= high + 0.25 * width)
-    for name, samples, look in _inputs(plan):
-        size = 2.0 / n * np.abs(np.fft.rfft(samples - plan.offsets[name]))
-        ax.vlines(frequency[near], 0.0, size[near], **look)
-    ax.set_ylim(bottom=0.0)
-    ax.set_xlabel("frequency [Hz]")
-    ax.set_ylabel(_quantity(plan, "amplitude of a line"))
-    ax.set_title("the best: spectrum")
-
-
-def _start(ax: Axes, plan: Plan) -> None:
-    """The first periods."""
-    low, high = plan.outcomes[0].design.band
-    shown = plan.time <= PERIODS * 2.0 / (low + high)
-    for name, samples, look in _inputs(plan):
-        ax.plot(plan.time[shown], samples[shown], label=name, **look)
-    ax.set_xlabel("time [s]")
-    ax.set_ylabel(_quantity(plan, ", ".join(plan.inputs)))
-    part = "all of it" if shown.all() else "its beginning"
-    ax.set_title(f"the best: {part}")
-    if len(plan.inputs) > 1:
-        ax.legend(loc="upper right", ncols=2, fontsize=7)
-
-
-def _quantity(plan: Plan, what: str) -> str:
-    units = {plan.units.get(name, "") for name in plan.inputs}
-    unit = units.pop() if len(units) == 1 else ""
-    return f"{what} [{unit}]" if unit else what

@@ -1,28 +1,20 @@
 """Known systems, as data, and their simulation.
 
-A new system is one file that makes a `System`, and a row in the table here, or an entry point ``bayeq.systems`` of
-another package; the conformance tests do the rest.
+A new system is a `System` in `bayeq.systems.known`, or an entry point ``bayeq.systems`` of another package; the
+conformance tests do the rest.
 """
 
 from __future__ import annotations
 
 from bayeq.errors import UnknownNameError
 from bayeq.plugins import Table
-from bayeq.systems.cart_pole import CART_POLE
-from bayeq.systems.coulomb import COULOMB
-from bayeq.systems.double_pendulum import DOUBLE_PENDULUM
-from bayeq.systems.duffing import DUFFING
-from bayeq.systems.linear import LINEAR
-from bayeq.systems.lorenz import LORENZ
-from bayeq.systems.quadratic import QUADRATIC
+from bayeq.systems.known import KNOWN
 from bayeq.systems.simulate import simulate
 from bayeq.systems.system import BandLimitedForce, System
-from bayeq.systems.vanderpol import VANDERPOL
 
 __all__ = ["SYSTEMS", "BandLimitedForce", "System", "get_system", "simulate"]
 
-_OWN = (LINEAR, DUFFING, QUADRATIC, COULOMB, LORENZ, VANDERPOL, CART_POLE, DOUBLE_PENDULUM)
-SYSTEMS = Table("systems", System, {system.name: system for system in _OWN})
+SYSTEMS = Table("systems", System, {system.name: system for system in KNOWN})
 
 
 def get_system(name: str) -> System:

@@ -101,7 +101,9 @@ def simulate(
         inputs = _own_force(system, force, n)
         n = len(inputs)
     else:
-        n = _count(system.n if n is None else n)
+        n = whole_number("n", system.n if n is None else n, 2)
+        if n > MAX_SAMPLES:
+            raise InputError(f"n must be at most {MAX_SAMPLES} samples, not {n}; simulate several records instead")
         inputs = _random_force(system, n, fs, force_stream)
 
     states = _integrate(system, values, inputs, fs, interpolation)
@@ -116,9 +118,9 @@ def simulate(
         c: columns[c] + noise_sd[c] * np.random.default_rng(stream).standard_normal(n)
         for c, stream in zip(system.channels, noise_streams, strict=True)
     }
-    evaluate_coefficient = Evaluator(values)
+    coefficient = Evaluator(values)
     coefficients = {
-        target: {term: float(evaluate_coefficient(parse(text, values))) for term, text in terms.items()}
+        target: {term: float(coefficient(parse(text, values))) for term, text in terms.items()}
         for target, terms in system.terms.items()
     }
     return Record(
@@ -250,13 +252,6 @@ def _random_force(system: System, n: int, fs: float, stream: np.random.SeedSeque
             raise InputError(f"system {system.name!r} has no force of its own: give force=")
         column[:] = band_limited_noise(system.force, n, fs, rng)
     return inputs
-
-
-def _count(n: int) -> int:
-    count = whole_number("n", n, 2)
-    if count > MAX_SAMPLES:
-        raise InputError(f"n must be at most {MAX_SAMPLES} samples, not {count}; simulate several records instead")
-    return count
 
 
 def _finite(what: str, value: float) -> float:

@@ -105,23 +105,20 @@ class System:
         return targets
 
 
-def oscillator(
-    name: str,
-    title: str,
-    restoring: str = "",
-    terms: Mapping[str, str] | None = None,
-    parameters: Mapping[str, float] | None = None,
-) -> System:
-    """``m*a + c*v + k*x + g(x, v) = u`` with a band-limited Gaussian force; `restoring` is g, `terms` are its own."""
-    force = "u-c*v-k*x" + (f"-{restoring}" if restoring else "")
+def oscillator(name: str, title: str, own: tuple[str, float, str] | None = None) -> System:
+    """``m*a + c*v + k*x + p*g = u`` with a band-limited Gaussian force; `own` is the parameter p, its value, and g."""
+    force, terms, values = "u-c*v-k*x", {"x": "-k/m", "v": "-c/m"}, {"m": 1.0, "c": 2.0, "k": 1e3}
+    if own is not None:
+        parameter, value, term = own
+        force, terms[term], values[parameter] = f"{force}-{parameter}*{term}", f"-{parameter}/m", value
     return System(
         name=name,
         title=title,
         chains=("x:v:a",),
         inputs=("u",),
         rhs={"x": "v", "v": f"({force})/m"},
-        terms={"a": {"x": "-k/m", "v": "-c/m", **(terms or {}), "u": "1/m"}},
-        parameters={"m": 1.0, "c": 2.0, "k": 1e3, **(parameters or {})},
+        terms={"a": {**terms, "u": "1/m"}},
+        parameters=values,
         fixed=("m",),
         initial={"x": 0.0, "v": 0.0},
         force=BandLimitedForce(std=50.0, band=(0.0, 100.0)),

@@ -23,8 +23,8 @@ from bayeq.equation.answer import Answer
 from bayeq.equation.brief import checks, failed, law_in_symbols, sentence, tabled_parameters, what_to_try
 from bayeq.equation.equation import Equation
 from bayeq.equation.explain import explanation
-from bayeq.equation.oscillator import own_parameters
-from bayeq.equation.text import MARK, Row, rows_of, unseen
+from bayeq.equation.physical import own_parameters
+from bayeq.equation.text import MARK, rows_of, unseen
 from bayeq.equation.written import round_to
 from bayeq.errors import BayeqError, BayeqWarning, InputError, needing
 from bayeq.expressions.parse import EARLIER
@@ -142,12 +142,6 @@ MARKERS = {"o": "circle", ".": "circle", "s": "square", "D": "diamond", "+": "cr
 # Pixels of a millimetre of a figure, and what the axes' labels and the legend take [pixels].
 SCALE, AROUND = 4.0, 80
 POINT = 96.0 / 72.0
-
-
-def require_bokeh() -> None:
-    """Check that live pictures can be made; MissingExtraError without Bokeh."""
-    with needing("bokeh", "report", "a report with live pictures"):
-        import bokeh.plotting  # noqa: F401
 
 
 def without_maths(label: str) -> str:
@@ -331,7 +325,8 @@ def require_report() -> None:
     Bokeh.
     """
     require_matplotlib()
-    require_bokeh()
+    with needing("bokeh", "report", "a report with live pictures"):
+        import bokeh.plotting  # noqa: F401
 
 
 def write_report(
@@ -347,7 +342,10 @@ def write_report(
     """
     require_report()
     try:
-        digests = {file.name: file_hash(file) for file in files}
+        digests = {}
+        for file in files:
+            with file.open("rb") as content:
+                digests[file.name] = hashlib.file_digest(content, "sha256").hexdigest()
         digests |= {f"samples of {one.name or 'the record'}": samples_hash(one) for one in records if not files}
         text = _page(eq, records, digests, command)
         with replacing(path) as part:
@@ -363,9 +361,16 @@ def _page(eq: Answer, records: Sequence[Record], digests: Mapping[str, str], com
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", BayeqWarning)  # they are in the page already
         made, reasons = pictures(eq, records[0] if records else None)
+    found, physical = own_parameters(eq), None
+    if found is not None:
+        law, also = law_in_symbols(eq, found), ", ".join(found.unexplained)
+        physical = {"law": law, "rows": tabled_parameters(found), "also": also}
     scripts = [_library(), START] if any(picture.live for picture in made) else []
-    allowed = " ".join(f"'sha256-{_digest(script)}'" for script in scripts) or "'none'"
+    hashes = (hashlib.sha256(script.encode("utf-8")).digest() for script in scripts)
+    allowed = " ".join(f"'sha256-{base64.b64encode(one).decode('ascii')}'" for one in hashes) or "'none'"
     environment = Environment(loader=FileSystemLoader(HERE), autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    environment.filters["typeset"] = lambda number: number.replace(" .. ", " … ").replace("-", "\N{MINUS SIGN}")
+    environment.filters["unit"] = unit_text
     return environment.get_template("page.html").render(
         title=f"Equation of motion: {', '.join(one.target for one in eq.equations)}",
         policy=f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data: blob:;"
@@ -374,7 +379,7 @@ def _page(eq: Answer, records: Sequence[Record], digests: Mapping[str, str], com
         verdict=eq.verdict,
         reason=sentence(eq) if eq.verdict.kind != "none" else what_to_try(eq),
         several=len(eq.equations) > 1,
-        physical=_physical(eq),
+        physical=physical,
         equations=[_equation(one, eq) for one in eq.equations],
         header=("term", "coefficient", "sd", "95 % interval", ENGINES[eq.method].score, "share", "unit"),
         noteworthy=f"{NOTEWORTHY_PIP:g}",
@@ -390,20 +395,6 @@ def _page(eq: Answer, records: Sequence[Record], digests: Mapping[str, str], com
         version=version("bayeq"),
         scripts=scripts,
     )
-
-
-def _physical(eq: Answer) -> dict[str, Any] | None:
-    """The law in physical parameters, and these with their meanings."""
-    found = own_parameters(eq)
-    if found is None:
-        return None
-    cells = tabled_parameters(found)
-    rows = [(name, _typeset(mean), _typeset(ends), unit_text(unit), why) for name, mean, ends, unit, why in cells]
-    return {"law": law_in_symbols(eq, found), "rows": rows, "also": ", ".join(found.unexplained)}
-
-
-def _typeset(number: str) -> str:
-    return number.replace(" .. ", " … ").replace("-", "\N{MINUS SIGN}")
 
 
 def _equation(one: Equation, eq: Answer) -> dict[str, Any]:
@@ -426,7 +417,7 @@ def _equation(one: Equation, eq: Answer) -> dict[str, Any]:
             if k and name != "d" * k + one.chain.names[0] and not one.chain.discrete
         },
         "text": one.text,
-        "rows": list(map(_cells, rows)),
+        "rows": rows,
         "rest": len(one.terms) - sum(bool(row.score) for row in rows),
     }
 
@@ -447,13 +438,6 @@ def _maths(one: Equation, names: Mapping[str, str]) -> str:
     return "".join(f"<math>{piece}</math> " for piece in pieces)
 
 
-def _cells(row: Row) -> tuple[str, ...]:
-    """A row of the table of terms, its interval marked where that is over models."""
-    interval = _typeset(row.interval) + f" {MARK}" * row.over_models
-    coefficient = _typeset(row.coefficient) or row.absent
-    return row.name, coefficient, row.sd, interval, row.score, row.share, unit_text(row.unit)
-
-
 def _words(eq: Answer) -> list[str]:
     """What is shown, explained with its own numbers; marks and bounds are explained where they stand."""
     _, _, *paragraphs = explanation(eq).split("\n\n")
@@ -464,9 +448,12 @@ def _words(eq: Answer) -> list[str]:
 def _data(eq: Answer) -> dict[str, str]:
     """Data and settings; what is empty is not shown."""
     source, known = eq.data, eq.data.sensors
+    # of how many rows held out the checks are, where not of all: of those with all channels, and no ends
+    counts = {one.held_out.n for one in eq.equations if one.held_out is not None}
+    checked = f", checked on {max(counts)} of these" if counts and max(counts) != source.n_held_out else ""
     return {
         "records": ", ".join(name for name in source.files if name) or "not named",
-        "rows": f"{source.n}, {source.n_train} used, {source.n_held_out} held out{_checked(eq)}"
+        "rows": f"{source.n}, {source.n_train} used, {source.n_held_out} held out{checked}"
         + (", then all used" if source.refitted else ""),
         "sampling": _sampling(eq),
         "chains": ", ".join(str(chain) for chain in eq.chains),
@@ -486,12 +473,6 @@ def _data(eq: Answer) -> dict[str, str]:
     }
 
 
-def _checked(eq: Answer) -> str:
-    """How many of the rows held out the checks are of, where they are not all: those with all channels, and no ends."""
-    counts = {one.held_out.n for one in eq.equations if one.held_out is not None}
-    return f", checked on {max(counts)} of these" if counts and max(counts) != eq.data.n_held_out else ""
-
-
 def _sampling(eq: Answer) -> str:
     """How the records were sampled, as far as known."""
     if eq.roles.discrete:
@@ -509,16 +490,6 @@ def _library() -> str:
     scripts = Resources(mode="inline", components=["bokeh"]).js_raw
     library = [text for text in scripts if not text.startswith("Bokeh.set_log_level")]  # which writes to the console
     return "\n".join(library).replace("</script", "<\\/script")
-
-
-def _digest(script: str) -> str:
-    return base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii")
-
-
-def file_hash(path: Path) -> str:
-    """SHA-256 of a file's bytes, hexadecimal."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def samples_hash(record: Record) -> str:
