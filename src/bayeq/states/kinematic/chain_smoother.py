@@ -32,31 +32,15 @@ INDEPENDENT = 0.6
 
 @dataclass(frozen=True, slots=True)
 class ChainSmoothing:
-    """How a chain was smoothed.
+    """How a chain was smoothed."""
 
-    Attributes
-    ----------
-    model : KinematicModel
-        Noise levels and roughness, shared by all records.
-    fs : float or None
-        Sampling rate [Hz], if all records are sampled uniformly at one rate.
-    unit_gains : (K+1,) array
-        From `bayeq.states.sensors`.
-    coordinate_sd : float or None
-        Where the coordinate is not measured: the standard deviation with which each of its samples is taken to be zero,
-        so that it is bounded.
-    target_variance : float
-        Posterior variance of the highest derivative given the samples, in its unit: the median over rows.
-    freedom : float
-        Independent numbers in a smoothed row: posterior over noise variance of the lowest measured derivative.
-    """
-
-    model: KinematicModel
-    fs: float | None
-    unit_gains: Floats
+    model: KinematicModel  # noise levels and roughness, shared by all records
+    fs: float | None  # sampling rate [Hz], if all records are sampled uniformly at one rate
+    unit_gains: Floats  # (K+1,), from `bayeq.states.sensors`
+    # where the coordinate is not measured: the sd with which each of its samples is taken to be zero, to be bounded
     coordinate_sd: float | None = None
-    target_variance: float = 0.0
-    freedom: float = 1.0
+    target_variance: float = 0.0  # of the highest derivative given the samples, in its unit: the median over rows
+    freedom: float = 1.0  # independent numbers in a smoothed row: posterior over noise variance of the lowest measured
 
     def gain(self, frequency: Floats) -> Floats:
         """Gain of the smoother at frequencies [Hz], the same for all derivatives: signal over signal and noise.
@@ -134,30 +118,12 @@ def smooth_chain(
     rows: Sequence[int] | None = None,
     noise: Mapping[str, float] | None = None,
 ) -> tuple[list[Floats], ChainSmoothing]:
-    """States of a chain in some records.
+    """Smoothed derivatives of order 0 to K of a chain in each of some records, (n, K+1), in the units of its channels.
 
-    Parameters
-    ----------
-    records : sequence of Record
-        With time; NaN is a missing sample.
-    chain : Chain
-        With at least one measured derivative.
-    rows : sequence of int, optional
-        Rows of each record that the noise levels are learned from, the first; the others are smoothed apart, so that
-        nothing is carried from these to those. By default all.
-    noise : mapping of str to float, optional
-        Known standard deviations of the noise of channels, in their units.
-
-    Returns
-    -------
-    list of (n, K+1) array, ChainSmoothing
-        Smoothed derivatives of order 0 to K of each record, each in the unit of its channel.
-
-    Raises
-    ------
-    RecordError
-        Noise cannot be told from motion, or a coordinate that is not measured cannot be integrated; the message says
-        why.
+    Noise levels are learned from the first `rows` of each record, by default from all; the others are smoothed apart,
+    so that nothing is carried from these to those. `noise` has known standard deviations, by channel, in its unit; NaN
+    is a missing sample. A RecordError says why noise cannot be told from motion, or why a coordinate that is not
+    measured cannot be integrated.
     """
     cuts = [record.n for record in records] if rows is None else list(rows)
     where = records[0].name or "record"
@@ -231,12 +197,8 @@ def _coordinate_sd(series: Sequence[ChainSeries], lowest: int, model: KinematicM
 
     Integrating the channel multiplies its noise by 1/omega^lowest, which is without bound. Below the frequency f_low at
     which its signal comes out of its noise nothing is known of the coordinate but that it does not run away: zeros of
-    the standard deviation sigma/omega_low^lowest weigh there as much as the channel does at f_low.
-
-    Raises
-    ------
-    RecordError
-        Uneven steps of time, records at different rates, or a signal that never comes out of its noise.
+    the standard deviation sigma/omega_low^lowest weigh there as much as the channel does at f_low. A RecordError
+    refuses uneven steps of time, records at different rates, and a signal that never comes out of its noise.
     """
     from scipy.special import chdtri  # which takes a while to import
 

@@ -27,18 +27,7 @@ LARGEST = 1e150
 class ChainSeries:
     """Samples of one chain in one record.
 
-    Parameters
-    ----------
-    times : (n,) array
-        Increasing [s], at least 2.
-    channels : tuple of ((n,) array or None)
-        Samples of each derivative of the coordinate from order 0 up, None where it is not measured; NaN is a
-        missing sample.
-
-    Raises
-    ------
-    InputError
-        Shapes that do not match, times that do not increase, samples that are infinite, or nothing measured.
+    An InputError refuses shapes that do not match, times that do not increase, infinite samples, and nothing measured.
 
     Examples
     --------
@@ -47,8 +36,8 @@ class ChainSeries:
     (0, 2)
     """
 
-    times: Floats
-    channels: tuple[Floats | None, ...]
+    times: Floats  # (n,), increasing [s], at least 2
+    channels: tuple[Floats | None, ...]  # (n,) of each derivative from 0 up, None where not measured; NaN: missing
 
     def __post_init__(self) -> None:
         times = np.ascontiguousarray(self.times, dtype=np.float64)
@@ -96,34 +85,18 @@ class ChainSeries:
 class KinematicModel:
     """A coordinate q whose m-th derivative is white noise, and white noise on each of its channels.
 
-    Parameters
-    ----------
-    order : int
-        m; the state is q, q', ..., q^(m-1).
-    spectral_density : float
-        Q of the driving noise: the variance of q^(m-1) grows by Q t in a time t [unit of q squared per s^(2m-1)].
-    noise_sd : tuple of (float or None)
-        Standard deviation of each derivative's noise in its own unit, None where not measured.
-    initial_sd : tuple of float, optional
-        Standard deviations of the state at the first row, about zero (that of q about its channel's mean, where it
-        has one). By default 1e3 times the size of each derivative in the data, which is as good as unknown.
-    log_likelihood : float, optional
-        Of the samples that the model was fitted to.
-    left_out : float, optional
-        Sum over these samples of the log density that all other samples predict; -inf if it was not fitted.
-
-    Raises
-    ------
-    InputError
-        An order that does not suit the chain, or values that are not positive.
+    An InputError refuses an order that does not suit the chain, and values that are not positive.
     """
 
-    order: int
+    order: int  # m; the state is q, q', ..., q^(m-1)
+    # Q of the driving noise: the variance of q^(m-1) grows by Q t in a time t [unit of q squared per s^(2m-1)]
     spectral_density: float
-    noise_sd: tuple[float | None, ...]
+    noise_sd: tuple[float | None, ...]  # of each derivative in its own unit, None where not measured
+    # of the state at the first row, about zero (that of q about its channel's mean, where it has one); by default 1e3
+    # times the size of each derivative in the data, which is as good as unknown
     initial_sd: tuple[float, ...] | None = None
-    log_likelihood: float | None = None
-    left_out: float = -math.inf
+    log_likelihood: float | None = None  # of the samples that the model was fitted to
+    left_out: float = -math.inf  # sum over these of the log density that all others predict; -inf if it was not fitted
 
     def __post_init__(self) -> None:
         check_order(self.order, len(self.noise_sd))
@@ -148,22 +121,13 @@ def check_order(order: int, derivatives: int) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sizes:
-    """How large the derivatives of a chain are in some records.
+    """How large the derivatives of a chain are in some records."""
 
-    Attributes
-    ----------
-    variance : (K+1,) array
-        Of each channel about its mean in stretches of 128 samples, which drifts do not add to; NaN where not measured.
-    size : (K+1,) array
-        Root mean square of each channel, that of q about its mean.
-    step, duration : float
-        Median time step and longest record [s].
-    """
-
+    # (K+1,), of each channel about its mean in stretches of 128 samples, which drifts do not add to; NaN: not measured
     variance: Floats
-    size: Floats
-    step: float
-    duration: float
+    size: Floats  # (K+1,), root mean square of each channel, that of q about its mean
+    step: float  # the median one [s]
+    duration: float  # of the longest record [s]
 
     @property
     def measured(self) -> NDArray[np.intp]:
@@ -186,13 +150,7 @@ class Sizes:
 
 
 def sizes_of(series: Sequence[ChainSeries], least: Sequence[float | None] | None = None) -> Sizes:
-    """Sizes of the derivatives in some records, each at least the one of `least`.
-
-    Raises
-    ------
-    InputError
-        No samples.
-    """
+    """Sizes of the derivatives in some records, each at least the one of `least`; an InputError without samples."""
     derivatives = len(series[0].channels)
     variance, size = np.full(derivatives, np.nan), np.full(derivatives, np.nan)
     for k in range(derivatives):

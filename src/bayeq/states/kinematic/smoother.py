@@ -68,16 +68,10 @@ class Rows:
         return -float(self.present.sum(axis=0) @ np.log(self.units(self.measured)))
 
     def filter(self, order: int, density: float, noise_sd: Floats, initial_sd: Floats, keep: bool = False) -> Filtered:
-        """Filter the record.
+        """Filter the record by a model of order m and density Q.
 
-        Parameters
-        ----------
-        order, density : int, float
-            m and Q.
-        noise_sd, initial_sd : (K+1,) and (m,) arrays
-            Standard deviations of the channels' noise and of the first state.
-        keep : bool
-            Whether to keep the filtered states, which the smoother needs.
+        Standard deviations are those of the channels' noise, (K+1,), and of the first state, (m,). With `keep` the
+        filtered states are kept, which the smoother needs.
         """
         (n, c), m = self.samples.shape, order - self.lowest
         orders = self.measured - self.lowest
@@ -110,17 +104,9 @@ class Rows:
 
 
 def prepare(series: ChainSeries, initial_sd: Floats, all_states: bool = False) -> Rows:
-    """A record for the filter.
+    """A record for the filter, in units by the sizes `initial_sd` of the derivatives, (m,).
 
-    Parameters
-    ----------
-    series : ChainSeries
-        The record.
-    initial_sd : (m,) array
-        Sizes of the derivatives, which the units are taken from.
-    all_states : bool
-        Whether the states below the lowest measured derivative are wanted too: they say nothing about the samples,
-        and never settle.
+    States below the lowest measured derivative, if wanted, say nothing about the samples, and never settle.
     """
     seen = [k for k, channel in enumerate(series.channels) if channel is not None and np.isfinite(channel).any()]
     measured = np.array(seen or series.measured, dtype=np.int64)
@@ -152,21 +138,11 @@ def _unit_root(m: int) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SmoothedStates:
-    """States of a record given all of its samples.
+    """States of a record given all of its samples."""
 
-    Attributes
-    ----------
-    mean : (n, m) array
-        q, q', ..., q^(m-1) in their own units.
-    covariances : (u, m, m) array
-        The covariances that occur: those of uniform sampling away from ends and gaps are one.
-    entry : (n,) array of int
-        Which of them belongs to each row.
-    """
-
-    mean: Floats
-    covariances: Floats
-    entry: NDArray[np.int64]
+    mean: Floats  # (n, m): q, q', ..., q^(m-1) in their own units
+    covariances: Floats  # (u, m, m), those that occur: of uniform sampling away from ends and gaps they are one
+    entry: NDArray[np.int64]  # (n,), which of them belongs to each row
 
     @property
     def sd(self) -> Floats:
@@ -180,19 +156,8 @@ def smooth_kinematic(series: ChainSeries, model: KinematicModel) -> SmoothedStat
     A derivative below all that are measured (the displacement, where only the acceleration is) is known up to a
     polynomial of the record's time, and its standard deviation says so. After a gap of more than 20 median steps in
     which the lowest measured derivative spreads beyond 1e8 noise levels and beyond `KinematicModel.initial_sd`, the
-    state starts again from the latter: rounding would have left nothing of what was known.
-
-    Parameters
-    ----------
-    series : ChainSeries
-        The record.
-    model : KinematicModel
-        From `fit_kinematic`, or with levels of your own.
-
-    Raises
-    ------
-    InputError
-        A record of another chain, or a channel that the model has no noise level for.
+    state starts again from the latter: rounding would have left nothing of what was known. An InputError refuses a
+    record of another chain than the model's, and a channel that the model has no noise level for.
 
     Examples
     --------
@@ -219,22 +184,8 @@ def smooth_kinematic(series: ChainSeries, model: KinematicModel) -> SmoothedStat
 def leave_one_out(series: ChainSeries, model: KinematicModel) -> Floats:
     """Each sample against what all others of the record predict, the same channel's and those of its derivatives.
 
-    Parameters
-    ----------
-    series : ChainSeries
-        The record.
-    model : KinematicModel
-        From `fit_kinematic`, or with levels of your own.
-
-    Returns
-    -------
-    (n, K+1, 2) array
-        Sample less prediction, and the standard deviation that this has under the model; NaN without a sample.
-
-    Raises
-    ------
-    InputError
-        As `smooth_kinematic`.
+    (n, K+1, 2): sample less prediction, and the standard deviation that this has under the model; NaN without a sample.
+    Errors are those of `smooth_kinematic`.
     """
     rows, given = filtered(series, model)
     errors, gradient = np.full((*rows.samples.shape, 2), np.nan), np.zeros(len(rows.measured) + 1)
@@ -247,17 +198,7 @@ def leave_one_out(series: ChainSeries, model: KinematicModel) -> Floats:
 def one_sided(series: ChainSeries, model: KinematicModel) -> tuple[Floats, Floats]:
     """States given the samples up to each row, and given those from each row on: (n, m) each.
 
-    Parameters
-    ----------
-    series : ChainSeries
-        The record.
-    model : KinematicModel
-        From `fit_kinematic`, or with levels of your own.
-
-    Raises
-    ------
-    InputError
-        As `smooth_kinematic`.
+    Errors are those of `smooth_kinematic`.
     """
     signs = (-1.0) ** np.arange(len(series.channels))
     channels = (None if c is None else sign * c[::-1] for sign, c in zip(signs, series.channels, strict=True))
@@ -275,10 +216,7 @@ def _filtered_means(series: ChainSeries, model: KinematicModel) -> Floats:
 def filtered(series: ChainSeries, model: KinematicModel, states: bool = False) -> tuple[Rows, Filtered]:
     """A record as the kernels see it, and what the filter leaves of it: also of the states, where they are wanted.
 
-    Raises
-    ------
-    InputError
-        As `smooth_kinematic`.
+    Errors are those of `smooth_kinematic`.
     """
     if len(series.channels) != len(model.noise_sd):
         raise InputError(
