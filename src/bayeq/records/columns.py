@@ -162,13 +162,12 @@ class Columns:
         return cls(kept, arrays, tuple(headers.clashes(rows)))
 
     @classmethod
-    def from_dataframe(
-        cls, df: pd.DataFrame, time: str | None = None, chosen: Select | None = None, everything: bool = True
-    ) -> Columns:
+    def from_dataframe(cls, df: pd.DataFrame, request: Request) -> Columns:
         """The columns of a data frame; an index named like time comes first.
 
-        Columns of words are left out where `everything` is read, not those that are asked for.
+        Columns of words are left out where no columns are asked for.
         """
+        time = request.time
         index = [] if df.index.name is None else [str(df.index.name)]
         if index and not (is_time_name(clean_name(index[0])[0]) or time == index[0]):
             index = []
@@ -184,10 +183,10 @@ class Columns:
                 return _of_objects(series)
             return series.to_numpy()
 
-        rows = list(chosen(headers)) if chosen else list(range(len(headers)))
+        rows = request.rows(headers)
         words = [i for i in rows if np.asarray(values(i)).dtype.kind == "O"]
         asked = {headers.find(time)} if time is not None else set()
-        if not everything or len(words) == len(rows) or not asked.isdisjoint(words):
+        if request.columns is not None or len(words) == len(rows) or not asked.isdisjoint(words):
             words = []  # refused by name
         found = cls.build(headers, values, lambda _: [i for i in rows if i not in words])
         names = ", ".join(repr(headers.texts[i]) for i in words)
@@ -241,12 +240,6 @@ class Request:
             else:
                 needed.update(i for i, unit in enumerate(headers.units) if unit in SECONDS)
         return sorted(needed)
-
-    def kept(self, data: Columns) -> list[str] | None:
-        """The names of the record's channels, after `renamed`; None for all of them."""
-        if self.names is None:
-            return None
-        return [*(data.names[data.headers.find(name)] for name in listed(self.columns or [])), *self.channels]
 
     def renamed(self, data: Columns) -> Columns:
         """The columns under the names that `channels` gives them; one named twice comes twice."""
@@ -316,20 +309,13 @@ class Trial(NamedTuple):
 
 
 def assemble(
-    data: Columns,
-    *,
-    time: str | None = None,
-    fs: float | None = None,
-    units: Mapping[str, str] | None = None,
-    group: str | None = None,
-    columns: Sequence[str] | str | None = None,
-    name: str | None = None,
+    data: Columns, request: Request, units: Mapping[str, str] | None = None, name: str | None = None
 ) -> list[Trial]:
-    """The columns as one record, or as one for each run of equal values of the column `group`.
+    """Columns, named as the request has it, as one record, or as one for each run of equal values of its group.
 
-    Parameters are those of `bayeq.records.read`; `name` labels the records.
+    `units` are those of columns, instead of the stated ones; `name` labels the records.
     """
-    where = data.headers.where
+    where, time, fs, group = data.headers.where, request.time, request.fs, request.group
     for doubt in data.doubts:
         warnings.warn(doubt, DataWarning, stacklevel=3)  # the caller of `read` or `Record.from_dataframe`
     if time is not None and fs is not None:
@@ -343,7 +329,9 @@ def assemble(
             gains[place] = gain
     time_column = find_time(data, known_units, time, fs)
     group_column = None if group is None else data.headers.find(group)
-    wanted = None if columns is None else {data.headers.find(c) for c in listed(columns)}
+    wanted = None
+    if request.names is not None:
+        wanted = {data.headers.find(c) for c in (*listed(request.columns or []), *request.channels)}
 
     n = len(data.values[0]) if data.values else 0
     starts = [0]

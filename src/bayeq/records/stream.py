@@ -105,9 +105,7 @@ class FileStream:
         known = {*data.names, *data.headers.texts}
         units = {name: unit for name, unit in self.units.items() if name in known}
         try:
-            (trial,) = assemble(
-                data, time=request.time, fs=request.fs, units=units, columns=request.kept(data), name=self.name
-            )
+            (trial,) = assemble(data, request, units, self.name)
         except RecordError as error:
             raise RecordError(f"{error} (of rows {start + 1:,} to {stop:,})") from None
         time = trial.time
