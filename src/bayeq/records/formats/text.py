@@ -23,8 +23,20 @@ import numpy as np
 from bayeq.arrays import Floats
 from bayeq.errors import FileFormatError, WordsError, needing
 from bayeq.records.columns import Columns, Headers, Names, Request, Select
-from bayeq.records.formats.cells import MISSING, Stamp, fitted, is_blank, is_comment, parse_stamp, split
-from bayeq.records.formats.layout import Layout, comment_header, decoded, encodings, sniff
+from bayeq.records.formats.layout import (
+    MISSING,
+    Layout,
+    Stamp,
+    comment_header,
+    decoded,
+    encodings,
+    fitted,
+    is_blank,
+    is_comment,
+    parse_stamp,
+    sniff,
+    split,
+)
 from bayeq.records.formats.protocol import UNIT_ROWS, FileRows, reading
 from bayeq.records.record import Record
 
