@@ -12,6 +12,7 @@ import numpy as np
 from bayeq.arrays import Floats
 from bayeq.records import Record
 from bayeq.records.findings import equal_runs
+from bayeq.records.repair import GAP
 
 # Rows by which a channel's levels and repeated samples are judged: enough to see how it was sampled.
 JUDGED = 20_000
@@ -21,9 +22,6 @@ COARSE = 20.0
 
 # Samples that repeat on average this many times are held: sampled slower than the record.
 HELD = 1.9
-
-# Steps of time that differ from the usual one by a larger factor end a piece.
-GAP = 2.5
 
 # Share of the power that the bandwidth holds.
 SHARE = 0.99

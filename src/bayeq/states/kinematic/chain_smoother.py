@@ -14,8 +14,7 @@ from bayeq.numerics.settings import STATES
 from bayeq.records import Record
 from bayeq.records.validate import even_step
 from bayeq.states.kinematic.fit import fit_kinematic
-from bayeq.states.kinematic.model import ChainSeries, KinematicModel
-from bayeq.states.kinematic.smoother import smooth_kinematic
+from bayeq.states.kinematic.smoother import ChainSeries, KinematicModel, smooth_kinematic
 from bayeq.states.roles import Chain
 from bayeq.states.sensors import LEAST_SHARE, bridged, unit_gains
 
@@ -100,10 +99,10 @@ class ChainSmoothing:
         return low, (float(grid[first + below[0]]) if len(below) else 0.5 * self.fs)
 
 
-def _series(record: Record, chain: Chain) -> ChainSeries:
+def series_of(record: Record, names: Sequence[str | None]) -> ChainSeries:
+    """Samples of channels in a record with time."""
     assert record.time is not None
-    channels = tuple(None if name is None else np.array(record[name]) for name in chain.measured)
-    return ChainSeries(np.array(record.time), channels)
+    return ChainSeries(record.time, tuple(None if name is None else record[name] for name in names))
 
 
 def _rate(series: Sequence[ChainSeries]) -> float | None:
@@ -133,12 +132,12 @@ def smooth_chain(
             f"{where}: {sum(cuts)} training rows are too few to smooth chain {str(chain)!r} (at least {least}, and 2 in"
             " each record)"
         )
-    whole = [_series(record, chain) for record in records]
+    whole = [series_of(record, chain.measured) for record in records]
     series = [s.take(slice(0, cut)) for s, cut in zip(whole, cuts, strict=True)]
     gains = unit_gains(records, chain, cuts)
     try:
         known = _known_noise(series, chain, gains, noise or {})
-        model = fit_kinematic([_in_units(s, gains) for s in series], noise_sd=known)
+        model = fit_kinematic([s.over(gains) for s in series], noise_sd=known)
     except InputError as error:  # a channel with too few samples, or one that never changes
         reason = str(error).split(";")[0]
         raise RecordError(f"{where}: training rows of chain {str(chain)!r} cannot be smoothed: {reason}") from None
@@ -152,7 +151,7 @@ def smooth_chain(
     means, target = [], []
     for s, cut in zip(whole, cuts, strict=True):
         parts = [s.take(slice(0, cut)), *([s.take(slice(cut, s.n))] if s.n - cut > 1 else [])]
-        given_all = [smooth_kinematic(_in_units(part, gains), model) for part in parts]
+        given_all = [smooth_kinematic(part.over(gains), model) for part in parts]
         target += [one.sd[:, [chain.order, chain.lowest]] for one in given_all]
         smoothed = [one.mean[:, : chain.order + 1] for one in given_all]
         if s.n - cut == 1:
@@ -166,10 +165,10 @@ def smooth_chain(
 
 def smooth_further(record: Record, chain: Chain, smoothing: ChainSmoothing) -> Floats:
     """States of a chain in a record as others of the same system were smoothed, (n, K + 1)."""
-    series = _series(record, chain)
+    series = series_of(record, chain.measured)
     if smoothing.coordinate_sd is not None:
         series = _bounded(series)
-    mean = smooth_kinematic(_in_units(series, smoothing.unit_gains), smoothing.model).mean
+    mean = smooth_kinematic(series.over(smoothing.unit_gains), smoothing.model).mean
     return np.asarray(mean[:, : chain.order + 1] * smoothing.unit_gains)
 
 
@@ -242,9 +241,3 @@ def _density(samples: Floats) -> tuple[Floats, float]:
     average = np.full(2 * half + 1, 1.0 / (2 * half + 1))
     density = np.convolve(np.pad(power, half, mode="reflect"), average, "valid")
     return np.asarray(density), max(2.0, INDEPENDENT * 2.0 * (2 * half + 1))
-
-
-def _in_units(series: ChainSeries, gains: Floats) -> ChainSeries:
-    """The samples in units that belong together."""
-    channels = tuple(None if c is None else c / g for c, g in zip(series.channels, gains, strict=True))
-    return ChainSeries(series.times, channels)

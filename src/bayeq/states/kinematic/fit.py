@@ -14,8 +14,7 @@ from bayeq.errors import ConvergenceWarning, InputError
 from bayeq.numerics.minimise import minimise
 from bayeq.numerics.settings import STATES
 from bayeq.states.kinematic.kalman import LONG_GAP
-from bayeq.states.kinematic.model import ChainSeries, KinematicModel, Sizes, check_order, sizes_of
-from bayeq.states.kinematic.smoother import Rows, prepare
+from bayeq.states.kinematic.smoother import ChainSeries, KinematicModel, Rows, Sizes, check_order, prepare, sizes_of
 
 # Fewer samples than this say nothing about the noise of a channel.
 LEAST_SAMPLES = 10

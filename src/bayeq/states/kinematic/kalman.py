@@ -176,16 +176,6 @@ def _measure(S: Floats, k: int, variance: float, gain: Floats) -> float:
 
 
 @kernel
-def _predict(S: Floats, h: float, noise: Floats, f: Floats, M: Floats) -> None:
-    """Root of the covariance a step later, lower triangular."""
-    m = len(f)
-    taylor(h, f)
-    pre_array(S, f, h, noise, M)
-    triangularise(M, m, 2 * m)
-    copy_block(S, M)
-
-
-@kernel
 def _width(S: Floats, k: int) -> float:
     """Standard deviation of state k."""
     total = 0.0
@@ -233,7 +223,10 @@ def filter_gains(
             log_determinant += steady_log
             continue
         if t > 0:
-            _predict(S, steps[t], noise, f, M)
+            taylor(steps[t], f)
+            pre_array(S, f, steps[t], noise, M)
+            triangularise(M, m, 2 * m)
+            copy_block(S, M)
             blank += steps[t]
             if blank > LONG_GAP and _width(S, orders[0]) > widest:
                 anew[t], regular, blank = True, False, 0.0
