@@ -65,6 +65,14 @@ class Headers:
         known = stated or {}
         return cls(texts, names, [known.get(text) or unit for text, unit in zip(texts, units, strict=True)], where)
 
+    @classmethod
+    def of_dataframe(cls, df: pd.DataFrame, time: str | None) -> Headers:
+        """Headers of a data frame; an index named like time, or as `time`, comes first."""
+        index = [] if df.index.name is None else [str(df.index.name)]
+        if index and not (is_time_name(clean_name(index[0])[0]) or time == index[0]):
+            index = []
+        return cls.parse([*index, *map(str, df.columns)], "data frame")
+
     def __len__(self) -> int:
         return len(self.names)
 
@@ -163,22 +171,16 @@ class Columns:
 
     @classmethod
     def from_dataframe(cls, df: pd.DataFrame, request: Request) -> Columns:
-        """The columns of a data frame; an index named like time comes first.
-
-        Columns of words are left out where no columns are asked for.
-        """
-        time = request.time
-        index = [] if df.index.name is None else [str(df.index.name)]
-        if index and not (is_time_name(clean_name(index[0])[0]) or time == index[0]):
-            index = []
-        headers = Headers.parse([*index, *map(str, df.columns)], "data frame")
+        """The columns of a data frame; those of words are left out where no columns are asked for."""
+        time, headers = request.time, Headers.of_dataframe(df, request.time)
+        first = len(headers) - len(df.columns)  # 1 with an index
 
         def values(i: int) -> Any:
-            series: Any = df.index if i < len(index) else df.iloc[:, i - len(index)]
+            series: Any = df.index if i < first else df.iloc[:, i - first]
             if getattr(series.dtype, "kind", "O") in "biuf":  # nullable columns hold NA, which is not a float
                 return series.to_numpy(dtype=float, na_value=np.nan)
             if getattr(series.dtype, "tz", None) is not None:
-                series = series.tz_convert(None) if i < len(index) else series.dt.tz_convert(None)
+                series = series.tz_convert(None) if i < first else series.dt.tz_convert(None)
             if getattr(series.dtype, "kind", "O") == "O":
                 return _of_objects(series)
             return series.to_numpy()
@@ -281,15 +283,13 @@ class Request:
                 raise InputError(
                     f"{where}: there is no {path.replace(STAR, f'[{lacking}]')}; name one record at a time"
                 )
-        return [self._numbered(k) for k in sorted(every)]
+        return [self._numbered(f"[{k}]") for k in sorted(every)]
 
-    def _numbered(self, k: int) -> Request:
-        def at(path: str | None) -> str | None:
-            return None if path is None else path.replace(STAR, f"[{k}]")
-
-        columns = None if self.columns is None else [str(at(name)) for name in listed(self.columns)]
-        channels = {name: str(at(path)) for name, path in self.channels.items()}
-        return Request(columns, channels, at(self.time), at(self.group), self.fs)
+    def _numbered(self, number: str) -> Request:
+        columns = None if self.columns is None else [name.replace(STAR, number) for name in listed(self.columns)]
+        channels = {name: path.replace(STAR, number) for name, path in self.channels.items()}
+        time, group = (path and path.replace(STAR, number) for path in (self.time, self.group))
+        return Request(columns, channels, time, group, self.fs)
 
 
 #: Names of a single number that is the time step [s], or the sampling rate [Hz].
