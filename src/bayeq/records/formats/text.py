@@ -16,7 +16,6 @@ from dataclasses import replace
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -245,13 +244,6 @@ def write(record: Record, path: Path) -> None:
 # --- some rows at a time ---------------------------------------------------------------------------------------------
 
 
-class _Index(NamedTuple):
-    """Where units begin."""
-
-    bounds: tuple[int, ...]  # first rows, and the number of rows
-    places: tuple[int, ...]  # the byte at which each begins, and that at the end
-
-
 class TextRows(FileRows):
     """Rows of a text file of plain numbers; times as dates are not read so."""
 
@@ -279,8 +271,11 @@ class TextRows(FileRows):
         return _named(self.layout, str(self.path))[0]
 
     @cached_property
-    def index(self) -> _Index:
-        """Where units of rows begin; lines that are empty count for nothing."""
+    def index(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """First rows of units, and the number of rows; the byte at which each begins, and that at the end.
+
+        Lines that are empty count for nothing.
+        """
         bounds, places, row = [0], [], 0
         with self.path.open("rb") as file:
             for _ in range(self.layout.skip):
@@ -298,12 +293,12 @@ class TextRows(FileRows):
             places.append(place)
         else:
             places[-1] = place
-        return _Index(tuple(bounds), tuple(places))
+        return tuple(bounds), tuple(places)
 
     @property
     def bounds(self) -> tuple[int, ...]:
         """Units of equal length."""
-        return self.index.bounds
+        return self.index[0]
 
     def read(self, start: int, stop: int, request: Request) -> Columns:
         """Rows `start` to `stop`."""
