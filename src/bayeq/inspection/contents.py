@@ -246,14 +246,12 @@ def _sections(found: RecordInfo) -> list[tuple[str, Sequence[str]]]:
 def _row(found: RecordInfo, channel: ChannelInfo, plain: bool) -> tuple[str, ...]:
     numbers = (channel.least, channel.greatest, channel.mean, channel.sd)
     power = channel.spectrum
-    spectrum = ("", "", "") if power is None else (bars(power, plain), _hertz(power.peak), _hertz(power.bandwidth))
+    spectrum = ("", "", "")
+    if power is not None:
+        spectrum = (bars(power, plain), f"{power.peak:.3g} Hz", f"{power.bandwidth:.3g} Hz")
     role = found.guess.role_of(channel.name) or ("constant" if channel.constant else "?")
     values = (f"{value:.4g}" if math.isfinite(value) else "" for value in numbers)
     return (_cut(channel.name), _cut(channel.unit), role, *values, str(channel.missing or ""), *spectrum)
-
-
-def _hertz(value: float) -> str:
-    return f"{value:.3g} Hz"
 
 
 def _cut(text: str) -> str:

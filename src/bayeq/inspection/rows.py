@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence, Set
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -222,7 +222,12 @@ def find_bad(records: Sequence[Record], guess: Guess, names: Sequence[str]) -> t
     """
     found: Bad = {}
     total = sum(record.n for record in records)
-    _clipped(records, names, {name for chain in guess.chains for name in chain}, found)
+    motion = {name for chain in guess.chains for name in chain}
+    for name in names:
+        values = np.concatenate([record[name] for record in records])
+        for clipping in clipped_levels(values[np.isfinite(values)], shut=name not in motion):
+            stays = (np.flatnonzero(values == clipping.level) + 1).tolist()
+            found.setdefault(name, {}).setdefault("clipped", []).extend(stays)
     timed = all(record.time is not None for record in records)
     # a square of what is larger is infinite
     names = [name for name in names if all(np.nanmax(np.abs(r[name]), initial=0.0) <= LARGEST for r in records)]
@@ -243,14 +248,6 @@ def find_bad(records: Sequence[Record], guess: Guess, names: Sequence[str]) -> t
         first += record.n
     order = {name: found[name] for name in names if name in found}
     return {name: {kind: one[kind] for kind in ADVICE if kind in one} for name, one in order.items()}, looked
-
-
-def _clipped(records: Sequence[Record], names: Sequence[str], motion: Set[str | None], found: Bad) -> None:
-    for name in names:
-        values = np.concatenate([record[name] for record in records])
-        for one in clipped_levels(values[np.isfinite(values)], shut=name not in motion):
-            rows = found.setdefault(name, {}).setdefault("clipped", [])
-            rows.extend((np.flatnonzero(values == one.level) + 1).tolist())
 
 
 def _roles(guess: Guess, names: Sequence[str], suspects: set[str]) -> Roles:
