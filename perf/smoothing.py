@@ -22,8 +22,7 @@ from threadpoolctl import threadpool_limits
 
 import bayeq as bq
 from bayeq.states.kinematic.fit import fit_kinematic
-from bayeq.states.kinematic.model import ChainSeries
-from bayeq.states.kinematic.smoother import filtered, smooth_kinematic
+from bayeq.states.kinematic.smoother import ChainSeries, filtered, smooth_kinematic
 from perf.timing import medians
 
 RESULTS = Path(__file__).parent / "results" / "smoothing.csv"

@@ -14,8 +14,16 @@ from hypothesis import strategies as st
 import bayeq as bq
 from bayeq.errors import InputError
 from bayeq.states.kinematic.fit import _Likelihood, _pieces, _stretches, fit_kinematic
-from bayeq.states.kinematic.model import ChainSeries, KinematicModel, sizes_of
-from bayeq.states.kinematic.smoother import filtered, leave_one_out, one_sided, prepare, smooth_kinematic
+from bayeq.states.kinematic.smoother import (
+    ChainSeries,
+    KinematicModel,
+    filtered,
+    leave_one_out,
+    one_sided,
+    prepare,
+    sizes_of,
+    smooth_kinematic,
+)
 from tests.draws import draws
 
 

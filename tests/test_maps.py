@@ -25,7 +25,8 @@ from bayeq.likelihood.fit import State, corrections, linearised, quadratic
 from bayeq.likelihood.layout import Candidates, Layout, Series
 from bayeq.likelihood.levels import Levels, Scales
 from bayeq.states import Roles, estimate_motion
-from bayeq.states.maps import in_samples, likened
+from bayeq.states.motion import likened
+from bayeq.states.prepare import in_samples
 
 from .test_likelihood_filter import close, parts, settled
 

@@ -57,9 +57,8 @@ from bayeq.states import (
     without_lags,
 )
 from bayeq.states.bad_samples import Learned
-from bayeq.states.maps import in_samples
 from bayeq.states.motion import cut_at, held_out_share
-from bayeq.states.prepare import bridged_record, cleaned, divided_at_gaps, require_enough, without_hum
+from bayeq.states.prepare import bridged_record, cleaned, divided_at_gaps, in_samples, require_enough, without_hum
 from bayeq.streaming.whole import Whole
 
 NO_LIKELIHOOD = (

@@ -26,7 +26,7 @@ from bayeq.numerics.settings import EQUATION
 from bayeq.records import Record, counts_rows
 from bayeq.records.names import conversion
 from bayeq.states import estimate_motion
-from bayeq.states.maps import in_samples
+from bayeq.states.prepare import in_samples
 
 # Runs that err by more than this share of the spread follow a record only roughly.
 ROUGHLY = 0.3

@@ -18,8 +18,8 @@ from bayeq.records.io import replacing
 from bayeq.regression.constraints import CONSERVED
 from bayeq.resumable import Progress, silent
 from bayeq.states import estimate_motion
-from bayeq.states.maps import in_samples
 from bayeq.states.motion import MotionRows
+from bayeq.states.prepare import in_samples
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

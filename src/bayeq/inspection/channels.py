@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from bayeq.arrays import Floats
 from bayeq.records import Record
 from bayeq.records.findings import equal_runs
+from bayeq.records.repair import GAP
 
 # Rows by which a channel's levels and repeated samples are judged: enough to see how it was sampled.
 JUDGED = 20_000
@@ -21,9 +21,6 @@ COARSE = 20.0
 
 # Samples that repeat on average this many times are held: sampled slower than the record.
 HELD = 1.9
-
-# Steps of time that differ from the usual one by a larger factor end a piece.
-GAP = 2.5
 
 # Share of the power that the bandwidth holds.
 SHARE = 0.99
@@ -74,16 +71,12 @@ class ChannelInfo:
 
 def describe_channels(records: Sequence[Record]) -> dict[str, ChannelInfo]:
     """Numbers of every channel over all records, which are parts of one file."""
-    clocks = [_Clock(record.time, record.dt, record.is_uniform()) for record in records]
+    clocks = [(record.time, record.dt, record.is_uniform()) for record in records]
     return {name: _described(records, clocks, name) for name in records[0].names}
 
 
-class _Clock(NamedTuple):
-    """Time of a record, its step, and whether that is even."""
-
-    time: Floats | None
-    step: float | None
-    even: bool
+# Time of a record, its step, and whether that is even.
+_Clock = tuple[Floats | None, float | None, bool]
 
 
 def _described(records: Sequence[Record], clocks: Sequence[_Clock], name: str) -> ChannelInfo:
@@ -98,8 +91,8 @@ def _described(records: Sequence[Record], clocks: Sequence[_Clock], name: str) -
     size = max(abs(least), abs(greatest)) or 1.0  # so that no square overflows
     scaled = values / size
     resolution, held = _sampling(values[:JUDGED])
-    step = clocks[0].step
-    pieces = [piece for r, clock in zip(records, clocks, strict=True) for piece in _even_pieces(r[name], clock)]
+    step = clocks[0][1]
+    pieces = [piece for r, clock in zip(records, clocks, strict=True) for piece in _even_pieces(r[name], *clock)]
     return ChannelInfo(
         name=name,
         unit=records[0].units.get(name, ""),
@@ -128,18 +121,17 @@ def _sampling(values: Floats) -> tuple[float | None, float | None]:
     return (distance if coarse else None), held
 
 
-def _even_pieces(values: Floats, clock: _Clock) -> list[Floats]:
+def _even_pieces(values: Floats, time: Floats | None, step: float | None, even: bool) -> list[Floats]:
     """Samples of a channel at even steps of time, interpolated where time is uneven or samples are missing.
 
     The record is divided at gaps of more than 2.5 steps, which nothing is interpolated over.
     """
-    time, step = clock.time, clock.step
     known = np.isfinite(values)
     if time is None or step is None or not known.any():
         return []
     if not known.all():
         values = np.interp(time, time[known], values[known])
-    if clock.even:
+    if even:
         return [values]
     out = []
     cuts = np.flatnonzero(np.diff(time) > GAP * step) + 1

@@ -13,9 +13,8 @@ import numpy as np
 
 from bayeq.errors import InputError, LengthsError, RecordError, WordsError, some_of
 from bayeq.inspection.channels import describe_channels
-from bayeq.inspection.contents import RecordInfo
+from bayeq.inspection.contents import Proposal, Reading, RecordInfo, propose
 from bayeq.inspection.links import Link, correlations, drivers, find_links, first_order, rough_channels, short_record
-from bayeq.inspection.proposal import Proposal, Reading, propose
 from bayeq.inspection.roles import INPUT, REFERENCE, Guess, clue_of, guess_roles
 from bayeq.inspection.rows import Experiments, find_bad, gaps_of, sort_rows, starts_from_rest
 from bayeq.records import Record, as_record, check_record, read, without_copies

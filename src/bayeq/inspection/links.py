@@ -220,7 +220,8 @@ def first_order(record: Record, names: Sequence[str], others: Sequence[str]) -> 
     for name in states:
         change = scaled[name][width:] - scaled[name][:-width]
         sums, left = (_left(A, change) / (rows - A.shape[1]) for A in (D[:, : 1 + len(scaled)], D))
-        share = 1.0 - left / _spread(change) * (rows - 1)
+        spread = max(float(np.sum((change - change.mean()) ** 2)), float(np.finfo(np.float64).tiny))
+        share = 1.0 - left / spread * (rows - 1)
         products |= sums > CLEARLY * left
         if share > EXPLAINED:
             out[name] = share
@@ -297,7 +298,3 @@ def _left(D: Floats, y: Floats) -> float:
     """Sum of squares that least squares leave."""
     rest = y - D @ np.linalg.lstsq(D, y, rcond=None)[0]
     return float(rest @ rest)
-
-
-def _spread(y: Floats) -> float:
-    return max(float(np.sum((y - y.mean()) ** 2)), float(np.finfo(np.float64).tiny))

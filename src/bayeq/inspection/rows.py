@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence, Set
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.arrays import Bools, Floats
+from bayeq.arrays import Floats
 from bayeq.inspection.roles import Guess
 from bayeq.records import Record
 from bayeq.records.findings import clipped_levels, equal_runs
@@ -22,8 +22,8 @@ from bayeq.records.names import is_time_name, time_unit
 from bayeq.records.repair import GAP, LONG_GAP
 from bayeq.records.validate import SECONDS, in_seconds
 from bayeq.states import Roles
-from bayeq.states.bad_samples import BAD, find_bad_samples
-from bayeq.states.kinematic.model import LARGEST
+from bayeq.states.bad_samples import ADVICE, find_bad_samples
+from bayeq.states.kinematic.smoother import LARGEST
 
 Ints = NDArray[np.intp]
 
@@ -214,9 +214,6 @@ WINDOW, MARGIN = 1_600, 200
 SUSPECT = 30.0
 LONG_RUN = 10
 
-# A channel that stays at its greatest or least value for fewer rows is not clipped, and need not be sorted.
-LEAST_RUN = 3
-
 
 def find_bad(records: Sequence[Record], guess: Guess, names: Sequence[str]) -> tuple[Bad, int]:
     """Bad samples of channels that move, and how many rows were searched for spikes and stuck stretches.
@@ -225,7 +222,12 @@ def find_bad(records: Sequence[Record], guess: Guess, names: Sequence[str]) -> t
     """
     found: Bad = {}
     total = sum(record.n for record in records)
-    _clipped(records, names, {name for chain in guess.chains for name in chain}, found)
+    motion = {name for chain in guess.chains for name in chain}
+    for name in names:
+        values = np.concatenate([record[name] for record in records])
+        for clipping in clipped_levels(values[np.isfinite(values)], shut=name not in motion):
+            stays = (np.flatnonzero(values == clipping.level) + 1).tolist()
+            found.setdefault(name, {}).setdefault("clipped", []).extend(stays)
     timed = all(record.time is not None for record in records)
     # a square of what is larger is infinite
     names = [name for name in names if all(np.nanmax(np.abs(r[name]), initial=0.0) <= LARGEST for r in records)]
@@ -245,22 +247,7 @@ def find_bad(records: Sequence[Record], guess: Guess, names: Sequence[str]) -> t
                         found[name][kind] = sorted({*place, *(np.flatnonzero(rows) + first + a + 1).tolist()})
         first += record.n
     order = {name: found[name] for name in names if name in found}
-    return {name: {kind: one[kind] for kind in BAD if kind in one} for name, one in order.items()}, looked
-
-
-def _clipped(records: Sequence[Record], names: Sequence[str], motion: Set[str | None], found: Bad) -> None:
-    for name in names:
-        values = np.concatenate([record[name] for record in records])
-        known = values[np.isfinite(values)]
-        if not any(_stays(known == level) for level in (known.max(), known.min())):
-            continue
-        for one in clipped_levels(known, shut=name not in motion):
-            rows = found.setdefault(name, {}).setdefault("clipped", [])
-            rows.extend((np.flatnonzero(values == one.level) + 1).tolist())
-
-
-def _stays(rows: Bools) -> bool:
-    return bool((rows[: 1 - LEAST_RUN] & rows[1 : 2 - LEAST_RUN] & rows[LEAST_RUN - 1 :]).any())
+    return {name: {kind: one[kind] for kind in ADVICE if kind in one} for name, one in order.items()}, looked
 
 
 def _roles(guess: Guess, names: Sequence[str], suspects: set[str]) -> Roles:

@@ -7,7 +7,6 @@
 from bayeq.records.findings import Finding, check_messages, check_record, without_copies
 from bayeq.records.formats import FORMATS, Format
 from bayeq.records.io import as_record, as_records, read, write
-from bayeq.records.join import join
 from bayeq.records.names import RESERVED, clean_name, clean_names
 from bayeq.records.record import Record, Truth
 from bayeq.records.repair import (
@@ -15,6 +14,7 @@ from bayeq.records.repair import (
     UNKNOWN_TIME,
     correct_delay,
     counts_rows,
+    join,
     remove_offset,
     split_at_gaps,
     with_row_numbers,

@@ -66,6 +66,14 @@ class Headers:
         found = [known.get(text) or unit or unit_in_name(text) for text, unit in zip(texts, units, strict=True)]
         return cls(texts, names, found, where)
 
+    @classmethod
+    def of_dataframe(cls, df: pd.DataFrame, time: str | None) -> Headers:
+        """Headers of a data frame; an index named like time, or as `time`, comes first."""
+        index = [] if df.index.name is None else [str(df.index.name)]
+        if index and not (is_time_name(clean_name(index[0])[0]) or time == index[0]):
+            index = []
+        return cls.parse([*index, *map(str, df.columns)], "data frame")
+
     def __len__(self) -> int:
         return len(self.names)
 
@@ -163,32 +171,25 @@ class Columns:
         return cls(kept, arrays, tuple(headers.clashes(rows)))
 
     @classmethod
-    def from_dataframe(
-        cls, df: pd.DataFrame, time: str | None = None, chosen: Select | None = None, everything: bool = True
-    ) -> Columns:
-        """The columns of a data frame; an index named like time comes first.
-
-        Columns of words are left out where `everything` is read, not those that are asked for.
-        """
-        index = [] if df.index.name is None else [str(df.index.name)]
-        if index and not (is_time_name(clean_name(index[0])[0]) or time == index[0]):
-            index = []
-        headers = Headers.parse([*index, *map(str, df.columns)], "data frame")
+    def from_dataframe(cls, df: pd.DataFrame, request: Request) -> Columns:
+        """The columns of a data frame; those of words are left out where no columns are asked for."""
+        time, headers = request.time, Headers.of_dataframe(df, request.time)
+        first = len(headers) - len(df.columns)  # 1 with an index
 
         def values(i: int) -> Any:
-            series: Any = df.index if i < len(index) else df.iloc[:, i - len(index)]
+            series: Any = df.index if i < first else df.iloc[:, i - first]
             if getattr(series.dtype, "kind", "O") in "biuf":  # nullable columns hold NA, which is not a float
                 return series.to_numpy(dtype=float, na_value=np.nan)
             if getattr(series.dtype, "tz", None) is not None:
-                series = series.tz_convert(None) if i < len(index) else series.dt.tz_convert(None)
+                series = series.tz_convert(None) if i < first else series.dt.tz_convert(None)
             if getattr(series.dtype, "kind", "O") == "O":
                 return _of_objects(series)
             return series.to_numpy()
 
-        rows = list(chosen(headers)) if chosen else list(range(len(headers)))
+        rows = request.rows(headers)
         words = [i for i in rows if np.asarray(values(i)).dtype.kind == "O"]
         asked = {headers.find(time)} if time is not None else set()
-        if not everything or len(words) == len(rows) or not asked.isdisjoint(words):
+        if request.columns is not None or len(words) == len(rows) or not asked.isdisjoint(words):
             words = []  # refused by name
         found = cls.build(headers, values, lambda _: [i for i in rows if i not in words])
         names = ", ".join(repr(headers.texts[i]) for i in words)
@@ -243,12 +244,6 @@ class Request:
                 needed.update(i for i, unit in enumerate(headers.units) if unit in SECONDS)
         return sorted(needed)
 
-    def kept(self, data: Columns) -> list[str] | None:
-        """The names of the record's channels, after `renamed`; None for all of them."""
-        if self.names is None:
-            return None
-        return [*(data.names[data.headers.find(name)] for name in listed(self.columns or [])), *self.channels]
-
     def renamed(self, data: Columns) -> Columns:
         """The columns under the names that `channels` gives them; one named twice comes twice."""
         if not self.channels:
@@ -289,15 +284,13 @@ class Request:
                 raise InputError(
                     f"{where}: there is no {path.replace(STAR, f'[{lacking}]')}; name one record at a time"
                 )
-        return [self._numbered(k) for k in sorted(every)]
+        return [self._numbered(f"[{k}]") for k in sorted(every)]
 
-    def _numbered(self, k: int) -> Request:
-        def at(path: str | None) -> str | None:
-            return None if path is None else path.replace(STAR, f"[{k}]")
-
-        columns = None if self.columns is None else [str(at(name)) for name in listed(self.columns)]
-        channels = {name: str(at(path)) for name, path in self.channels.items()}
-        return Request(columns, channels, at(self.time), at(self.group), self.fs)
+    def _numbered(self, number: str) -> Request:
+        columns = None if self.columns is None else [name.replace(STAR, number) for name in listed(self.columns)]
+        channels = {name: path.replace(STAR, number) for name, path in self.channels.items()}
+        time, group = (path and path.replace(STAR, number) for path in (self.time, self.group))
+        return Request(columns, channels, time, group, self.fs)
 
 
 #: Names of a single number that is the time step [s], or the sampling rate [Hz].
@@ -317,20 +310,13 @@ class Trial(NamedTuple):
 
 
 def assemble(
-    data: Columns,
-    *,
-    time: str | None = None,
-    fs: float | None = None,
-    units: Mapping[str, str] | None = None,
-    group: str | None = None,
-    columns: Sequence[str] | str | None = None,
-    name: str | None = None,
+    data: Columns, request: Request, units: Mapping[str, str] | None = None, name: str | None = None
 ) -> list[Trial]:
-    """The columns as one record, or as one for each run of equal values of the column `group`.
+    """Columns, named as the request has it, as one record, or as one for each run of equal values of its group.
 
-    Parameters are those of `bayeq.records.read`; `name` labels the records.
+    `units` are those of columns, instead of the stated ones; `name` labels the records.
     """
-    where = data.headers.where
+    where, time, fs, group = data.headers.where, request.time, request.fs, request.group
     for doubt in data.doubts:
         warnings.warn(doubt, DataWarning, stacklevel=3)  # the caller of `read` or `Record.from_dataframe`
     if time is not None and fs is not None:
@@ -344,7 +330,9 @@ def assemble(
             gains[place] = gain
     time_column = find_time(data, known_units, time, fs)
     group_column = None if group is None else data.headers.find(group)
-    wanted = None if columns is None else {data.headers.find(c) for c in listed(columns)}
+    wanted = None
+    if request.names is not None:
+        wanted = {data.headers.find(c) for c in (*listed(request.columns or []), *request.channels)}
 
     n = len(data.values[0]) if data.values else 0
     starts = [0]

@@ -157,27 +157,27 @@ def relate(time: Floats, p: Floats, q: Floats, order: int, frames: Frames) -> Re
     motion, other = _detrended(time, p, 1 + order), _detrended(time, q, 1)
     if any(np.abs(left).max() <= ROUNDING * np.abs(whole).max() for left, whole in ((motion, p), (other, q))):
         return None
-    both = _spectra(motion, other, order, frames)
-    if float(both.weight.sum()) < LEAST_WEIGHT:
+    cross, power_a, power_b, omega, coherent = _spectra(motion, other, order, frames)
+    if float(coherent.sum()) < LEAST_WEIGHT:
         return None
-    phase = np.angle(both.cross)
-    fit = _align(phase, both.weight, both.omega, frames.dt)[2]
+    phase = np.angle(cross)
+    fit = _align(phase, coherent, omega, frames.dt)[2]
     # where a channel was derived from another its filter shows beyond the motion, in their common noise
-    level = np.abs(both.cross) / np.maximum(both.power_b, TINY)
-    usual = float(np.average(level, weights=both.power_a * (both.weight > 0.0)))
-    weight = np.where(np.abs(np.log(np.maximum(level, TINY) / usual)) < SAME_GAIN, both.weight, 0.0)
+    level = np.abs(cross) / np.maximum(power_b, TINY)
+    usual = float(np.average(level, weights=power_a * (coherent > 0.0)))
+    weight = np.where(np.abs(np.log(np.maximum(level, TINY) / usual)) < SAME_GAIN, coherent, 0.0)
     if float(weight.sum()) < LEAST_WEIGHT:  # no gain is usual
-        weight = both.weight
+        weight = coherent
     total = float(weight.sum())
-    sign, delay, _ = _align(phase, weight, both.omega, frames.dt)
+    sign, delay, _ = _align(phase, weight, omega, frames.dt)
     # phases that no straight line fits say less than they seem to
-    rest = np.angle(sign * both.cross * np.exp(1j * both.omega * delay))
+    rest = np.angle(sign * cross * np.exp(1j * omega * delay))
     misfit = max(1.0, float(weight @ rest**2) / max(float(np.count_nonzero(weight)) / BANDWIDTH, 1.0))
-    aligned = np.abs(both.cross) * np.cos(rest)
+    aligned = np.abs(cross) * np.cos(rest)
     kept = np.flatnonzero((weight > 0.0) & (aligned > 0.0))
     share = weight[kept] / weight[kept].sum()
-    least = float(share @ (aligned[kept] / both.power_b[kept]))
-    most = float(share @ (both.power_a[kept] / aligned[kept]))
+    least = float(share @ (aligned[kept] / power_b[kept]))
+    most = float(share @ (power_a[kept] / aligned[kept]))
     gain, ratio = math.sqrt(least * most), size_q / size_p
     return Relation(
         sign=sign,
@@ -186,27 +186,18 @@ def relate(time: Floats, p: Floats, q: Floats, order: int, frames: Frames) -> Re
         most_gain=most * ratio,
         gain_error=math.sqrt(misfit / total),
         delay=delay,
-        delay_error=math.sqrt(misfit / float(weight @ both.omega**2)),
+        delay_error=math.sqrt(misfit / float(weight @ omega**2)),
         fit=fit,
         weight=total,
     )
 
 
-class _Spectra(NamedTuple):
-    """Of q (A) and of the derivative of p (B), averaged over frames and neighbouring bins.
+def _spectra(p: Floats, q: Floats, order: int, frames: Frames) -> tuple[Complexes, Floats, Floats, Floats, Floats]:
+    """Spectra of q (A) and of the derivative of p (B), averaged over frames and neighbouring bins.
 
-    `cross` is A times the conjugate of B, `omega` the mean frequency in each bin, `weight` the inverse variance of the
-    phase of `cross`, 0 where nothing is coherent.
+    A times the conjugate of B, the powers of both, the mean frequency in each bin, and the inverse variance of the
+    phase of the first, 0 where nothing is coherent.
     """
-
-    cross: Complexes
-    power_a: Floats
-    power_b: Floats
-    omega: Floats
-    weight: Floats
-
-
-def _spectra(p: Floats, q: Floats, order: int, frames: Frames) -> _Spectra:
     A = _weak_derivative(q, frames, 0)
     B, next_one = (_weak_derivative(p, frames, order + j) for j in (0, 1))
     cross, rate = (_smooth(np.mean(v * B.conj(), axis=0)) for v in (A, next_one))
@@ -223,7 +214,7 @@ def _spectra(p: Floats, q: Floats, order: int, frames: Frames) -> _Spectra:
     weight = 2.0 * independent * corrected / (1.0 - corrected)
     weight[(coherence < chance) | (power_a * power_b <= TINY)] = 0.0
     weight[-1] = 0.0  # half the sampling rate: real, and aliased
-    return _Spectra(cross, power_a, power_b, omega, weight)
+    return cross, power_a, power_b, omega, weight
 
 
 def _detrended(time: Floats, values: Floats, degree: int) -> Floats:

@@ -442,6 +442,10 @@ def clipped_levels(values: Floats, shut: bool = False) -> list[Clipping]:
 
     What may be `shut`, as a valve or a heater, is not clipped at 0.
     """
+    starts, lengths = equal_runs(values)
+    at_extremes = np.isin(values[starts], (values.min(), values.max()))
+    if not (lengths[at_extremes] >= LEAST_RUN).any():  # most channels, which need not be sorted
+        return []
     levels, counts = np.unique(values, return_counts=True)
     if len(levels) < LEAST_LEVELS:
         return []

@@ -211,11 +211,8 @@ def read(
     records: list[Record] = []
     starred = any(STAR in name for name in (*(request.names or ()), time or ""))
     for k, (part, data) in enumerate(pieces):
-        named = part.renamed(data)
         label = f"{path.name} [{k}]" if starred else path.name if sheet is None else f"{path.name}[{sheet}]"
-        kept = part.kept(named)
-        trials = assemble(named, time=part.time, fs=fs, units=units, group=part.group, columns=kept, name=label)
-        records.extend(Record(*trial) for trial in trials)
+        records.extend(Record(*trial) for trial in assemble(part.renamed(data), part, units, label))
     return records if starred or group is not None else records[0]
 
 
@@ -305,23 +302,10 @@ def as_records(source: Any, t: Any = None) -> list[Record]:
 def as_record(source: Any, t: Any = None) -> Record:
     """A record from a path, a data frame, a mapping of arrays, or an object with `u`, `y` and `sampling_time`.
 
-    Parameters
-    ----------
-    source : Record, path, DataFrame, mapping of str to array_like, or object
-        Headers of data frames and mappings are read as those of files: ``"x [mm]"`` is the channel x in mm. Of an
-        object with attributes `u` and `y` (several inputs or outputs as columns) the channels are u and y, or u1, u2
-        and so on; `sampling_time` [s] is its time step.
-    t : str or array_like, optional
-        The column that is time, or sampling times [s] of shape (n,) for arrays.
-
-    Returns
-    -------
-    Record
-
-    Raises
-    ------
-    InputError
-        Anything else; a `t` that does not go with it.
+    Headers of data frames and mappings are read as those of files: ``"x [mm]"`` is the channel x in mm. Of an object
+    with attributes `u` and `y` (several inputs or outputs as columns) the channels are u and y, or u1, u2 and so on;
+    `sampling_time` [s] is its time step. `t` is the column that is time, or sampling times [s], (n,), for arrays. An
+    InputError refuses anything else, and a `t` that does not go with it.
 
     Examples
     --------
@@ -367,7 +351,7 @@ def _from_mapping(source: Mapping[Any, Any], t: Any) -> Record:
     headers = Headers.parse(keys, "arrays")
     data = Columns.build(headers, lambda i: np.asarray(source[keys[i]]))
     if t is None or isinstance(t, str):
-        return Record(*assemble(data, time=t, name="")[0])
+        return Record(*assemble(data, Request(time=t), name="")[0])
     return Record(dict(zip(data.names, data.values, strict=True)), np.asarray(t), data.headers.stated_units())
 
 

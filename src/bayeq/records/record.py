@@ -266,8 +266,8 @@ class Record:
         >>> Record.from_dataframe(pd.DataFrame({"t": [0.0, 0.1], "x [m]": [1.0, 2.0]}))
         Record('data frame': 2 rows at 10 Hz; x [m])
         """
-        data = Columns.from_dataframe(df, time, Request(columns, time=time, fs=fs).rows, columns is None)
-        return cls(*assemble(data, time=time, fs=fs, units=units, columns=columns)[0])
+        request = Request(columns, time=time, fs=fs)
+        return cls(*assemble(Columns.from_dataframe(df, request), request, units)[0])
 
     def to_columns(self) -> Columns:
         """The columns by which the record is written: time first, then the channels."""

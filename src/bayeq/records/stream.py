@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Protocol
 
 from bayeq.errors import FileFormatError, InputError, RecordError
-from bayeq.records.columns import STAR, Columns, Request, assemble
+from bayeq.records.columns import STAR, Request, assemble
 from bayeq.records.formats import FORMATS, format_of
 from bayeq.records.formats.protocol import FileRows, grid
 from bayeq.records.io import FileState, require_unchanged, state_of
@@ -99,15 +99,19 @@ class FileStream:
     def read(self, start: int, stop: int) -> Record:
         """Rows `start` to `stop` as a record; errors are those of `bayeq.read`, and say between which rows."""
         request = self.request
-        data = request.renamed(self._columns(start, stop))
+        try:
+            data = self.rows.read(start, stop, request)
+        finally:
+            require_unchanged(self.rows.path, self.state)
+        for values in data.values:
+            values.setflags(write=False)  # records then need no copy
+        data = request.renamed(data)
         if data.step is not None:
             data = replace(data, start=data.start + start * data.step)
         known = {*data.names, *data.headers.texts}
         units = {name: unit for name, unit in self.units.items() if name in known}
         try:
-            (trial,) = assemble(
-                data, time=request.time, fs=request.fs, units=units, columns=request.kept(data), name=self.name
-            )
+            (trial,) = assemble(data, request, units, self.name)
         except RecordError as error:
             raise RecordError(f"{error} (of rows {start + 1:,} to {stop:,})") from None
         time = trial.time
@@ -118,16 +122,6 @@ class FileStream:
         if request.fs is not None and time is not None and start:
             time = time + start / request.fs
         return Record(trial.channels, time, trial.units, trial.name)
-
-    def _columns(self, start: int, stop: int) -> Columns:
-        """The columns of some rows, of the file as it was opened, read-only: records then need no copy."""
-        try:
-            columns = self.rows.read(start, stop, self.request)
-        finally:
-            require_unchanged(self.rows.path, self.state)
-        for values in columns.values:
-            values.setflags(write=False)
-        return columns
 
 
 def files_in(paths: Sequence[str | os.PathLike[str]], known: Collection[str], what: str) -> list[Path]:

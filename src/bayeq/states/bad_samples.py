@@ -21,14 +21,14 @@ from bayeq.numerics.settings import STATES
 from bayeq.records import Record
 from bayeq.records.findings import clipped_levels, equal_runs
 from bayeq.records.record import with_samples
+from bayeq.states.kinematic.chain_smoother import series_of
 from bayeq.states.kinematic.fit import fit_kinematic
-from bayeq.states.kinematic.model import ChainSeries, KinematicModel
-from bayeq.states.kinematic.smoother import leave_one_out, one_sided, smooth_kinematic
+from bayeq.states.kinematic.smoother import ChainSeries, KinematicModel, leave_one_out, one_sided, smooth_kinematic
 from bayeq.states.roles import Chain, Roles
 from bayeq.states.sensors import unit_gains
 
-# Kinds of bad samples.
-BAD = ("spikes", "stuck", "clipped")
+# Kinds of bad samples, and what to do about them.
+ADVICE = {"spikes": "check the sensor", "stuck": "check the sensor", "clipped": "measure in a wider range"}
 
 # ... by this share of the channel's (friction in records of 0.1 % noise jumps by 2 %, and a few samples that err by so
 # little do no harm), and by this many levels, in a channel of few.
@@ -144,13 +144,6 @@ def without_bad_samples(
     return out, messages
 
 
-ADVICE = {
-    "spikes": "check the sensor",
-    "stuck": "check the sensor",
-    "clipped": "measure in a wider range",
-}
-
-
 def _message(name: str, kind: str, rows: Bools) -> str:
     count = int(rows.sum())
     samples = f"{count} sample{'s' * (count > 1)} left out as {kind[:-1] if kind == 'spikes' and count == 1 else kind}"
@@ -177,14 +170,8 @@ class _Group:
         is_input: bool = False,
     ) -> None:
         self.names, self.is_input = tuple(names), is_input
-        self.series = [
-            ChainSeries(
-                np.asarray(record.time),
-                tuple(None if n is None else record[n] / gain for n, gain in zip(names, gains, strict=True)),
-            )
-            for record in records
-        ]
-        self.bad = [{kind: _nowhere(s) for kind in BAD} for s in self.series]
+        self.series = [series_of(record, names).over(gains) for record in records]
+        self.bad = [{kind: _nowhere(s) for kind in ADVICE} for s in self.series]
         # rows that the smoother misses, of each record
         self.missed: list[Bools] = [np.zeros(s.n, dtype=np.bool_) for s in self.series]
 
@@ -223,8 +210,8 @@ class _Group:
             return self
         learned.models[self.names] = model
         for i, (s, runs, bad) in enumerate(zip(self.series, doubtful, self.bad, strict=True)):
-            calm = _without(s, bad["spikes"] | runs)
-            bad["clipped"] = _clipped(_without(s, bad["spikes"]), self.is_input)
+            calm = s.without(bad["spikes"] | runs)
+            bad["clipped"] = _clipped(s.without(bad["spikes"]), self.is_input)
             bad["stuck"] = _stuck(s, runs & ~bad["clipped"] & ~(self.is_input & _at_zero(s)), calm, model)
             errors = leave_one_out(calm, model)
             self.missed[i] = np.any(_standard(errors) > STATES.spike * _factor(errors), axis=1)
@@ -234,7 +221,7 @@ class _Group:
         """Find spikes outside of doubtful stretches, until there are no more; the model without them, if not known."""
         least, model = _least(self.series), known
         for _ in range(PASSES):
-            used = [_without(s, spikes | d) for s, spikes, d in zip(self.series, self.spikes, doubtful, strict=True)]
+            used = [s.without(spikes | d) for s, spikes, d in zip(self.series, self.spikes, doubtful, strict=True)]
             try:
                 # noise levels that are not quite the likeliest do as well
                 model = known or fit_kinematic(used, doubts=False)
@@ -245,7 +232,7 @@ class _Group:
                 self.spikes[i][row, k] = True
             if not found:
                 break
-        total = np.sum([np.isfinite(_samples(s)).sum(axis=0) for s in self.series], axis=0)
+        total = np.sum([np.isfinite(s.samples).sum(axis=0) for s in self.series], axis=0)
         frequent = np.sum([mask.sum(axis=0) for mask in self.spikes], axis=0) > MOST_SPIKES * total
         for mask in self.spikes:
             mask[:, frequent] = False
@@ -304,16 +291,6 @@ def _nowhere(series: ChainSeries) -> Bools:
     return np.zeros((series.n, len(series.channels)), dtype=np.bool_)
 
 
-def _samples(series: ChainSeries) -> Floats:
-    """(n, K+1), NaN where nothing is measured."""
-    return np.column_stack([np.full(series.n, np.nan) if c is None else c for c in series.channels])
-
-
-def _without(series: ChainSeries, mask: Bools) -> ChainSeries:
-    channels = (None if c is None else np.where(mask[:, k], np.nan, c) for k, c in enumerate(series.channels))
-    return ChainSeries(series.times, tuple(channels))
-
-
 # --- spikes ----------------------------------------------------------------------------------------------------------
 
 
@@ -334,7 +311,7 @@ def _factor(errors: Floats) -> Floats:
 
 def _least(series: Sequence[ChainSeries]) -> Floats:
     """Errors of each channel that may matter: a share of its standard deviation, or some of its levels."""
-    whole = np.concatenate([_samples(s) for s in series])
+    whole = np.concatenate([s.samples for s in series])
     out = np.zeros(whole.shape[1])
     for k, values in enumerate(whole.T):
         known = values[np.isfinite(values)]
@@ -390,13 +367,13 @@ def _judged(series: ChainSeries, model: KinematicModel, least: Floats) -> list[_
     # of each place the samples that may be all that is wrong there
     causes = [[_largest(worst, int(part[0]), int(part[-1]))] for part in _places(rows, TOGETHER)]
     noise = np.array([np.nan if sd is None else sd for sd in model.noise_sd])
-    samples, out = _samples(series), []
+    samples, out = series.samples, []
     present = np.isfinite(samples)
     for _ in range(MOST_TOGETHER):
         trial = np.zeros_like(high)
         for at in (at for cause in causes for at in cause):
             trial[at] = True
-        masked = _without(series, trial)
+        masked = series.without(trial)
         smoothed = smooth_kinematic(masked, model)
         predicted = (smoothed.mean, *one_sided(masked, model))
         after = _standard(leave_one_out(masked, model))
@@ -473,10 +450,9 @@ def _stands_out(at: Place, cause: Sequence[Place], after: Floats) -> bool:
 
 def _long_runs(series: ChainSeries) -> Bools:
     """Stretches of equal samples that are longer than the channel's usual ones."""
-    out = _nowhere(series)
-    for k, values in enumerate(series.channels):
-        if values is None:
-            continue
+    out, samples = _nowhere(series), series.samples
+    for k in series.measured:
+        values = samples[:, k]
         starts, lengths = equal_runs(values)
         usual = float(np.median(np.repeat(lengths, lengths)))
         long = (lengths >= max(LEAST_STUCK, TIMES_USUAL * usual)) & np.isfinite(values[starts])
@@ -486,7 +462,7 @@ def _long_runs(series: ChainSeries) -> Bools:
 
 def _at_zero(series: ChainSeries) -> Bools:
     """Samples of 0, where a channel has none on one side of it."""
-    samples = _samples(series)
+    samples = series.samples
     one_sided = (np.nan_to_num(samples) >= 0.0).all(axis=0) | (np.nan_to_num(samples) <= 0.0).all(axis=0)
     return np.asarray((samples == 0.0) & one_sided)
 
@@ -496,11 +472,10 @@ def _stuck(series: ChainSeries, runs: Bools, calm: ChainSeries, model: Kinematic
     out = np.zeros_like(runs)
     if not runs.any():
         return out
-    samples, seen = _samples(series), _samples(calm)
+    samples, seen = series.samples, calm.samples
     smoothed = smooth_kinematic(calm, model)
-    measured = [k for k, values in enumerate(series.channels) if values is not None]
-    for k in measured:
-        values, sd, others = samples[:, k], float(model.noise_sd[k] or 0.0), [j for j in measured if j != k]
+    for k in series.measured:
+        values, sd, others = samples[:, k], float(model.noise_sd[k] or 0.0), [j for j in series.measured if j != k]
         steps = np.abs(np.diff(values))
         usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
         starts, lengths = equal_runs(values)
@@ -519,9 +494,9 @@ def _stuck(series: ChainSeries, runs: Bools, calm: ChainSeries, model: Kinematic
 
 def _clipped(series: ChainSeries, shut: bool) -> Bools:
     """Samples at an extreme that a channel is clipped at."""
-    out = _nowhere(series)
-    for k, values in enumerate(series.channels):
-        if values is not None and np.isfinite(values).any():
-            for found in clipped_levels(values[np.isfinite(values)], shut):
-                out[:, k] |= values == found.level
+    out, samples = _nowhere(series), series.samples
+    for k in np.flatnonzero(np.isfinite(samples).any(axis=0)):
+        values = samples[:, k]
+        for found in clipped_levels(values[np.isfinite(values)], shut):
+            out[:, k] |= values == found.level
     return out

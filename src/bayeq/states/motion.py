@@ -19,7 +19,6 @@ from bayeq.records import Record, counts_rows
 from bayeq.states.derive import Smooth, derive_states, known, require_usable, usable
 from bayeq.states.hidden import hidden_columns, hidden_rates
 from bayeq.states.kinematic.chain_smoother import ChainSmoothing, smooth_chain, smooth_further
-from bayeq.states.maps import likened, moved
 from bayeq.states.prepare import bridged_record, complete_rows, filled_in, has_all, on_grid, without_lags
 from bayeq.states.roles import NEXT, Chain, Roles
 from bayeq.states.sensors import Sensors, bridged, unit_gains
@@ -218,7 +217,7 @@ def further_rows(record: Record, motion: Motion) -> MotionRows:
 
 
 def _of_map(record: Record, roles: Roles) -> MotionRows:
-    """Rows of a record (`bayeq.states.maps.in_samples`), missing samples bridged, with earlier and next ones beside."""
+    """Rows of a record from `in_samples`, missing samples bridged, with earlier and next ones beside."""
     record = on_grid(record, roles.channels)
     if record.time is None or (np.diff(record.time) != 1.0).any():
         raise RecordError(
@@ -235,10 +234,43 @@ def _of_map(record: Record, roles: Roles) -> MotionRows:
     for chain in roles.chains:
         channel = str(chain.measured[-2])
         for back, name in enumerate(reversed(chain.names), -1):
-            known &= np.isfinite(moved(samples[channel], back))
-            columns[name] = bridged(moved(whole[channel], back))
+            known &= np.isfinite(_moved(samples[channel], back))
+            columns[name] = bridged(_moved(whole[channel], back))
     observed = {target: columns[target] for target in roles.targets}
     return MotionRows(record.name, record.time, columns, observed, samples, known)
+
+
+# Samples before and after a missing one that are compared with those around others.
+AROUND = (2, 1, -1, -2)
+
+
+def likened(channels: Sequence[Floats]) -> list[Floats]:
+    """Channels with missing samples taken from where those around them were most alike.
+
+    A chaotic map may be anywhere between two samples: a straight line would lead the likelihood astray.
+    """
+    samples = np.column_stack(channels)
+    scale = np.nanstd(samples, axis=0)
+    around = np.hstack([np.column_stack([_moved(column, back) for column in samples.T]) for back in AROUND])
+    around /= np.tile(np.where(scale > 0.0, scale, 1.0), len(AROUND))
+    out = samples.copy()
+    for row in np.flatnonzero(np.isnan(samples).any(axis=1)):
+        seen = np.isfinite(around[row])
+        apart = np.sum((around[:, seen] - around[row, seen]) ** 2, axis=1)
+        for i in np.flatnonzero(np.isnan(samples[row])):
+            alike = np.where(np.isnan(apart) | np.isnan(samples[:, i]), np.inf, apart)
+            out[row, i] = samples[int(np.argmin(alike)), i] if np.isfinite(alike).any() else np.nan
+    return [bridged(column) for column in out.T]
+
+
+def _moved(values: Floats, back: int) -> Floats:
+    """The sample so far back at each row, or ahead where that is negative; NaN where there is none."""
+    out = np.full(len(values), np.nan)
+    if back >= 0:
+        out[back:] = values[: len(values) - back]
+    else:
+        out[:back] = values[-back:]
+    return out
 
 
 def _smoothed(

@@ -8,16 +8,16 @@ import numpy as np
 
 from bayeq.arrays import Bools, Floats, Ints
 from bayeq.errors import InputError, RecordError
+from bayeq.expressions.parse import EARLIER
 from bayeq.numerics.settings import RECORDS, STATES
-from bayeq.records import Record, correct_delay, split_at_gaps
+from bayeq.records import SAMPLES, Record, correct_delay, split_at_gaps
 from bayeq.records.findings import equal_runs
 from bayeq.records.record import with_only, with_samples
 from bayeq.records.validate import even_step, is_step
 from bayeq.states.bad_samples import Learned, listed, without_bad_samples
 from bayeq.states.derive import LARGEST, Smooth, require_usable
 from bayeq.states.kinematic.fit import fit_kinematic
-from bayeq.states.kinematic.model import ChainSeries
-from bayeq.states.kinematic.smoother import smooth_kinematic
+from bayeq.states.kinematic.smoother import ChainSeries, smooth_kinematic
 from bayeq.states.roles import Roles
 from bayeq.states.sensors import Lag, bridged
 
@@ -279,6 +279,44 @@ def _is_rounding(time: Floats, off: float, step: float) -> bool:
             return off <= ROUNDED_BY * unit and unit < step
     return False
 
+
+# --- maps ------------------------------------------------------------------------------------------------------------
+
+# Times are on a grid if they are off by no more than this share of its step.
+OFF_GRID = 0.1
+
+
+def in_samples(record: Record, roles: Roles) -> Record:
+    """The record with the number of the sample as time, and with earlier samples of inputs as channels of their own.
+
+    The first of them, before the record, are taken to be like the first one of the input. A RecordError refuses uneven
+    steps of time.
+    """
+    time = np.arange(record.n, dtype=np.float64)
+    if record.time is not None and record.n > 2:
+        index, start, step = fitted_grid(np.asarray(record.time))
+        off = np.abs(np.asarray(record.time) - start - step * index).max()
+        if not (np.diff(index) > 0).all() or off > OFF_GRID * step:
+            raise RecordError(
+                f"{record.name or 'record'}: steps of time are uneven, and a map goes from sample to sample: resample"
+                " evenly, or leave time out"
+            )
+        time = index.astype(np.float64)
+    channels, units = dict(record.channels), {**record.units, "t": SAMPLES}
+    for name in roles.inputs:
+        found = EARLIER.fullmatch(name)
+        if found is None:
+            continue
+        base, back = found["name"], int(found["back"])
+        places = np.searchsorted(time, time - back)
+        there = time[places] == time - back
+        channels[name] = np.where(there | (time - back < time[0]), record[base][places], np.nan)
+        if base in record.units:
+            units[name] = record.units[base]
+    return Record(channels, time, units, record.name, record.truth)
+
+
+# --- hum -------------------------------------------------------------------------------------------------------------
 
 # ... and this share of the channel's power: less is nothing, which channels without noise have much of.
 LEAST = 1e-6

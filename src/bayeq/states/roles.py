@@ -19,7 +19,6 @@ MAX_ORDER = 4
 # Names of channels are no longer [characters], as terms are not.
 LONGEST = 1000
 
-
 # What stands before the target of a static law.
 STATIC = "="
 
@@ -203,17 +202,13 @@ def parse_chains(texts: Sequence[str], inputs: Sequence[str] = ()) -> tuple[Chai
     """Read several chains and check that no name occurs in two of them.
 
     A coordinate that is not measured is called x. Where two chains, or a chain and another channel, would share that
-    name, such coordinates are called after the lowest measured channel of their chain.
+    name, such coordinates are called after the lowest measured channel of their chain. A ChainError refuses no chains,
+    one that cannot be read, and a name that occurs twice.
 
     Examples
     --------
     >>> [chain.names for chain in parse_chains(["::a1", "::a2"])]
     [('x_a1', 'dx_a1', 'a1'), ('x_a2', 'dx_a2', 'a2')]
-
-    Raises
-    ------
-    ChainError
-        No chains, one that cannot be read, or a name that occurs twice.
     """
     if not texts:
         raise ChainError("no chain given: name the coordinate and its measured derivatives, as in x:v:a")

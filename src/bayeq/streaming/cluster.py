@@ -30,9 +30,8 @@ from threadpoolctl import threadpool_limits
 
 from bayeq.errors import BayeqError, InputError, RecordError, needing
 from bayeq.records import Record
-from bayeq.records.columns import Columns, Request
+from bayeq.records.columns import Headers, Request
 from bayeq.records.formats.protocol import parts_between
-from bayeq.records.names import clean_name, is_time_name
 from bayeq.records.stream import FileStream
 from bayeq.streaming.work import Extent, Unit, Work
 
@@ -473,20 +472,15 @@ def _stream(frame: Any, name: str, client: Any, channels: Sequence[str], time: s
 
 def _needed(empty: Any, channels: Sequence[str], time: str | None) -> list[Any]:
     """The columns that hold some channels, and time."""
-    request = Request(list(channels) or None, time=time)
-    found: list[int] = []
-
-    def chosen(headers: Any) -> list[int]:
-        found.extend(request.rows(headers))
-        return []
-
-    Columns.from_dataframe(empty, time, chosen)
-    index = empty.index.name
-    first = int(index is not None and (is_time_name(clean_name(str(index))[0]) or time == str(index)))
+    headers = Headers.of_dataframe(empty, time)
+    if time is not None:
+        headers.find(time)  # an UnknownNameError here rather than in a worker
+    found = Request(list(channels) or None, time=time).rows(headers)
+    first = len(headers) - len(empty.columns)  # 1 with an index
     kinds = [empty.index.dtype.kind] * first + [getattr(kind, "kind", "O") for kind in empty.dtypes]
     for k in found:
         if kinds[k] in "mM":
-            where = str(index) if k < first else str(empty.columns[k - first])
+            where = str(empty.index.name) if k < first else str(empty.columns[k - first])
             raise InputError(f"data frame, column {where!r}: holds dates; write the time in seconds")
     return [empty.columns[k - first] for k in found if k >= first]
 

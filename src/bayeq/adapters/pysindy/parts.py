@@ -21,8 +21,7 @@ from bayeq.inference.engines import ENGINES
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
 from bayeq.states.kinematic.fit import fit_kinematic
-from bayeq.states.kinematic.model import ChainSeries
-from bayeq.states.kinematic.smoother import smooth_kinematic
+from bayeq.states.kinematic.smoother import ChainSeries, smooth_kinematic
 
 # Engines with the spike-and-slab prior.
 METHODS = [name for name, engine in ENGINES.items() if engine.spike_slab]

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from bayeq.errors import FileFormatError
-from bayeq.records.formats.cells import unit_cell
-from bayeq.records.formats.layout import decoded
+from bayeq.records.formats.layout import decoded, unit_cell
 from bayeq.records.formats.nested import Channel
 
 _END = "***End_of_Header***"

@@ -125,18 +125,13 @@ def _rows(array: Any, path: str, about: Mapping[str, Any]) -> Iterator[Channel]:
     long = max(shape, default=0)
     enough = long > 1 or (long == 1 and about.get("single"))
     if enough and long == np.prod(shape, dtype=float):  # of one dimension, as a row or as a column
-        yield Channel(path, long, _whole(array, long), about.get("label"), unit, step)
+        # a matrix of one row or column is read whole
+        read = (lambda rows: array[rows]) if shape == (long,) else (lambda rows: np.ravel(array[...])[rows])
+        yield Channel(path, long, read, about.get("label"), unit, step)
     elif len(shape) == 2 and 1 < min(shape) <= MOST_ROWS:
         across = shape[0] > shape[1]
         for k in range(min(shape)):
             yield Channel(f"{path}.{k}", long, _part(array, k, across), unit=unit, step=step)
-
-
-def _whole(array: Any, long: int) -> Callable[[slice], Any]:
-    """The samples of an array of one dimension, or of a matrix of one row or column."""
-    if array.shape == (long,):
-        return lambda rows: array[rows]
-    return lambda rows: np.ravel(array[...])[rows]
 
 
 def _part(array: Any, k: int, across: bool) -> Callable[[slice], Any]:

@@ -19,9 +19,19 @@ _UNITS = "__units__"
 
 def read_columns(path: Path, *, names: Names = None, chosen: Select | None = None) -> Columns:
     """Read the arrays of an archive; pickled objects are refused, single numbers are passed over."""
-    where = str(path)
-    with reading(where, ".npz archive"):
-        arrays, units = _load(path)
+    where, arrays, units = str(path), dict[str, AnyArray](), dict[str, str]()
+    with reading(where, ".npz archive"), zipfile.ZipFile(path) as archive:
+        members = archive.infolist()
+        check_claim(where, "the archive", sum(member.file_size for member in members), path.stat().st_size)
+        for member in members:
+            key = member.filename.removesuffix(".npy")
+            with archive.open(member) as file:
+                array = read_array(file, member.file_size, where, f"array {key!r}")
+            if key == _UNITS:
+                units = stored_units(str(array))
+            elif array.ndim > 0:
+                # A row or a column vector, as MATLAB's users save, is one channel.
+                arrays[key] = array.ravel() if array.ndim == 2 and 1 in array.shape else array
     if not arrays:
         raise FileFormatError(f"{where}: the archive holds no arrays")
     headers = Headers.parse(arrays, where, units)
@@ -33,25 +43,6 @@ def read_columns(path: Path, *, names: Names = None, chosen: Select | None = Non
     if lengths == {0}:
         raise FileFormatError(f"{where}: no rows")
     return Columns.build(headers.renamed(names), values.__getitem__, chosen)
-
-
-def _load(path: Path) -> tuple[dict[str, AnyArray], dict[str, str]]:
-    where, stored = str(path), path.stat().st_size
-    arrays: dict[str, AnyArray] = {}
-    units: dict[str, str] = {}
-    with zipfile.ZipFile(path) as archive:
-        members = archive.infolist()
-        check_claim(where, "the archive", sum(member.file_size for member in members), stored)
-        for member in members:
-            key = member.filename.removesuffix(".npy")
-            with archive.open(member) as file:
-                array = read_array(file, member.file_size, where, f"array {key!r}")
-            if key == _UNITS:
-                units = stored_units(str(array))
-            elif array.ndim > 0:
-                # A row or a column vector, as MATLAB's users save, is one channel.
-                arrays[key] = array.ravel() if array.ndim == 2 and 1 in array.shape else array
-    return arrays, units
 
 
 def write(record: Record, path: Path) -> None:

@@ -16,25 +16,31 @@ from dataclasses import replace
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayeq.arrays import Floats
 from bayeq.errors import FileFormatError, WordsError, needing
 from bayeq.records.columns import Columns, Headers, Names, Request, Select
-from bayeq.records.formats.cells import MISSING, Stamp, fitted, is_blank, is_comment, parse_stamp, split
-from bayeq.records.formats.layout import Layout, comment_header, decoded, encodings, sniff
+from bayeq.records.formats.layout import (
+    MISSING,
+    Layout,
+    Stamp,
+    comment_header,
+    decoded,
+    encodings,
+    fitted,
+    is_blank,
+    is_comment,
+    parse_stamp,
+    sniff,
+    split,
+)
 from bayeq.records.formats.protocol import UNIT_ROWS, FileRows, reading
 from bayeq.records.record import Record
 
 _FORTRAN = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+))[dD]([+-]?\d+)")
 _ROWS_AT_ONCE = 20_000
-
-# Bytes that are looked through at a time for the ends of lines.
-CHUNK = 2**24
-NEWLINE, RETURN = 10, 13
 
 # Text that stands for a missing sample, in the cases that pyarrow would not know.
 ABSENT = sorted({text for word in MISSING for text in (word, word.upper(), word.capitalize())} | {"NaN"})
@@ -238,13 +244,6 @@ def write(record: Record, path: Path) -> None:
 # --- some rows at a time ---------------------------------------------------------------------------------------------
 
 
-class _Index(NamedTuple):
-    """Where units begin."""
-
-    bounds: tuple[int, ...]  # first rows, and the number of rows
-    places: tuple[int, ...]  # the byte at which each begins, and that at the end
-
-
 class TextRows(FileRows):
     """Rows of a text file of plain numbers; times as dates are not read so."""
 
@@ -272,39 +271,34 @@ class TextRows(FileRows):
         return _named(self.layout, str(self.path))[0]
 
     @cached_property
-    def index(self) -> _Index:
-        """Where units of rows begin; lines that are empty count for nothing."""
+    def index(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """First rows of units, and the number of rows; the byte at which each begins, and that at the end.
+
+        Lines that are empty count for nothing.
+        """
         bounds, places, row = [0], [], 0
         with self.path.open("rb") as file:
             for _ in range(self.layout.skip):
                 file.readline()
             place = file.tell()
             places.append(place)
-            begun = False  # whether the line has a character
-            while chunk := file.read(CHUNK):
-                bytes_ = np.frombuffer(chunk, dtype=np.uint8)
-                ends = np.flatnonzero(bytes_ == NEWLINE)
-                ink = _with_ink(bytes_, ends, begun)
-                rows = row + np.cumsum(ink[: len(ends)])
-                while len(ends) and rows[-1] >= bounds[-1] + UNIT_ROWS:
-                    bound = bounds[-1] + UNIT_ROWS
-                    bounds.append(bound)
-                    places.append(place + int(ends[np.searchsorted(rows, bound)]) + 1)
-                row = int(rows[-1]) if len(ends) else row
-                begun = bool(ink[-1])
-                place += len(chunk)
-            row += begun
+            for line in file:
+                place += len(line)
+                row += line not in (b"\n", b"\r\n", b"\r")
+                if row == bounds[-1] + UNIT_ROWS:
+                    bounds.append(row)
+                    places.append(place)
         if bounds[-1] != row or len(bounds) == 1:
             bounds.append(row)
             places.append(place)
         else:
             places[-1] = place
-        return _Index(tuple(bounds), tuple(places))
+        return tuple(bounds), tuple(places)
 
     @property
     def bounds(self) -> tuple[int, ...]:
         """Units of equal length."""
-        return self.index.bounds
+        return self.index[0]
 
     def read(self, start: int, stop: int, request: Request) -> Columns:
         """Rows `start` to `stop`."""
@@ -349,15 +343,3 @@ class TextRows(FileRows):
             ),
         )
         return {i: table.column(names[i]).to_numpy() for i in columns}
-
-
-def _with_ink(chunk: NDArray[np.uint8], ends: NDArray[np.intp], begun: bool) -> NDArray[np.bool_]:
-    """Whether each line of a chunk, and what follows the last, has a character that is no blank."""
-    starts = np.concatenate([[0], ends + 1])
-    stops = np.concatenate([ends, [len(chunk)]])
-    long = stops - starts
-    out = long > 1  # of one character it may be the return before the line's end
-    for k in np.flatnonzero(long == 1):
-        out[k] = chunk[starts[k]] != RETURN
-    out[0] |= begun
-    return np.asarray(out)

@@ -14,8 +14,7 @@ from bayeq.numerics.settings import STATES
 from bayeq.records import Record
 from bayeq.records.validate import even_step
 from bayeq.states.kinematic.fit import fit_kinematic
-from bayeq.states.kinematic.model import ChainSeries, KinematicModel
-from bayeq.states.kinematic.smoother import smooth_kinematic
+from bayeq.states.kinematic.smoother import ChainSeries, KinematicModel, smooth_kinematic
 from bayeq.states.roles import Chain
 from bayeq.states.sensors import LEAST_SHARE, bridged, unit_gains
 
@@ -32,31 +31,15 @@ INDEPENDENT = 0.6
 
 @dataclass(frozen=True, slots=True)
 class ChainSmoothing:
-    """How a chain was smoothed.
+    """How a chain was smoothed."""
 
-    Attributes
-    ----------
-    model : KinematicModel
-        Noise levels and roughness, shared by all records.
-    fs : float or None
-        Sampling rate [Hz], if all records are sampled uniformly at one rate.
-    unit_gains : (K+1,) array
-        From `bayeq.states.sensors`.
-    coordinate_sd : float or None
-        Where the coordinate is not measured: the standard deviation with which each of its samples is taken to be zero,
-        so that it is bounded.
-    target_variance : float
-        Posterior variance of the highest derivative given the samples, in its unit: the median over rows.
-    freedom : float
-        Independent numbers in a smoothed row: posterior over noise variance of the lowest measured derivative.
-    """
-
-    model: KinematicModel
-    fs: float | None
-    unit_gains: Floats
+    model: KinematicModel  # noise levels and roughness, shared by all records
+    fs: float | None  # sampling rate [Hz], if all records are sampled uniformly at one rate
+    unit_gains: Floats  # (K+1,), from `bayeq.states.sensors`
+    # where the coordinate is not measured: the sd with which each of its samples is taken to be zero, to be bounded
     coordinate_sd: float | None = None
-    target_variance: float = 0.0
-    freedom: float = 1.0
+    target_variance: float = 0.0  # of the highest derivative given the samples, in its unit: the median over rows
+    freedom: float = 1.0  # independent numbers in a smoothed row: posterior over noise variance of the lowest measured
 
     def gain(self, frequency: Floats) -> Floats:
         """Gain of the smoother at frequencies [Hz], the same for all derivatives: signal over signal and noise.
@@ -116,10 +99,10 @@ class ChainSmoothing:
         return low, (float(grid[first + below[0]]) if len(below) else 0.5 * self.fs)
 
 
-def _series(record: Record, chain: Chain) -> ChainSeries:
+def series_of(record: Record, names: Sequence[str | None]) -> ChainSeries:
+    """Samples of channels in a record with time."""
     assert record.time is not None
-    channels = tuple(None if name is None else np.array(record[name]) for name in chain.measured)
-    return ChainSeries(np.array(record.time), channels)
+    return ChainSeries(record.time, tuple(None if name is None else record[name] for name in names))
 
 
 def _rate(series: Sequence[ChainSeries]) -> float | None:
@@ -134,30 +117,12 @@ def smooth_chain(
     rows: Sequence[int] | None = None,
     noise: Mapping[str, float] | None = None,
 ) -> tuple[list[Floats], ChainSmoothing]:
-    """States of a chain in some records.
+    """Smoothed derivatives of order 0 to K of a chain in each of some records, (n, K+1), in the units of its channels.
 
-    Parameters
-    ----------
-    records : sequence of Record
-        With time; NaN is a missing sample.
-    chain : Chain
-        With at least one measured derivative.
-    rows : sequence of int, optional
-        Rows of each record that the noise levels are learned from, the first; the others are smoothed apart, so that
-        nothing is carried from these to those. By default all.
-    noise : mapping of str to float, optional
-        Known standard deviations of the noise of channels, in their units.
-
-    Returns
-    -------
-    list of (n, K+1) array, ChainSmoothing
-        Smoothed derivatives of order 0 to K of each record, each in the unit of its channel.
-
-    Raises
-    ------
-    RecordError
-        Noise cannot be told from motion, or a coordinate that is not measured cannot be integrated; the message says
-        why.
+    Noise levels are learned from the first `rows` of each record, by default from all; the others are smoothed apart,
+    so that nothing is carried from these to those. `noise` has known standard deviations, by channel, in its unit; NaN
+    is a missing sample. A RecordError says why noise cannot be told from motion, or why a coordinate that is not
+    measured cannot be integrated.
     """
     cuts = [record.n for record in records] if rows is None else list(rows)
     where = records[0].name or "record"
@@ -167,12 +132,12 @@ def smooth_chain(
             f"{where}: {sum(cuts)} training rows are too few to smooth chain {str(chain)!r} (at least {least}, and 2 in"
             " each record)"
         )
-    whole = [_series(record, chain) for record in records]
+    whole = [series_of(record, chain.measured) for record in records]
     series = [s.take(slice(0, cut)) for s, cut in zip(whole, cuts, strict=True)]
     gains = unit_gains(records, chain, cuts)
     try:
         known = _known_noise(series, chain, gains, noise or {})
-        model = fit_kinematic([_in_units(s, gains) for s in series], noise_sd=known)
+        model = fit_kinematic([s.over(gains) for s in series], noise_sd=known)
     except InputError as error:  # a channel with too few samples, or one that never changes
         reason = str(error).split(";")[0]
         raise RecordError(f"{where}: training rows of chain {str(chain)!r} cannot be smoothed: {reason}") from None
@@ -186,7 +151,7 @@ def smooth_chain(
     means, target = [], []
     for s, cut in zip(whole, cuts, strict=True):
         parts = [s.take(slice(0, cut)), *([s.take(slice(cut, s.n))] if s.n - cut > 1 else [])]
-        given_all = [smooth_kinematic(_in_units(part, gains), model) for part in parts]
+        given_all = [smooth_kinematic(part.over(gains), model) for part in parts]
         target += [one.sd[:, [chain.order, chain.lowest]] for one in given_all]
         smoothed = [one.mean[:, : chain.order + 1] for one in given_all]
         if s.n - cut == 1:
@@ -200,10 +165,10 @@ def smooth_chain(
 
 def smooth_further(record: Record, chain: Chain, smoothing: ChainSmoothing) -> Floats:
     """States of a chain in a record as others of the same system were smoothed, (n, K + 1)."""
-    series = _series(record, chain)
+    series = series_of(record, chain.measured)
     if smoothing.coordinate_sd is not None:
         series = _bounded(series)
-    mean = smooth_kinematic(_in_units(series, smoothing.unit_gains), smoothing.model).mean
+    mean = smooth_kinematic(series.over(smoothing.unit_gains), smoothing.model).mean
     return np.asarray(mean[:, : chain.order + 1] * smoothing.unit_gains)
 
 
@@ -231,12 +196,8 @@ def _coordinate_sd(series: Sequence[ChainSeries], lowest: int, model: KinematicM
 
     Integrating the channel multiplies its noise by 1/omega^lowest, which is without bound. Below the frequency f_low at
     which its signal comes out of its noise nothing is known of the coordinate but that it does not run away: zeros of
-    the standard deviation sigma/omega_low^lowest weigh there as much as the channel does at f_low.
-
-    Raises
-    ------
-    RecordError
-        Uneven steps of time, records at different rates, or a signal that never comes out of its noise.
+    the standard deviation sigma/omega_low^lowest weigh there as much as the channel does at f_low. A RecordError
+    refuses uneven steps of time, records at different rates, and a signal that never comes out of its noise.
     """
     from scipy.special import chdtri  # which takes a while to import
 
@@ -280,9 +241,3 @@ def _density(samples: Floats) -> tuple[Floats, float]:
     average = np.full(2 * half + 1, 1.0 / (2 * half + 1))
     density = np.convolve(np.pad(power, half, mode="reflect"), average, "valid")
     return np.asarray(density), max(2.0, INDEPENDENT * 2.0 * (2 * half + 1))
-
-
-def _in_units(series: ChainSeries, gains: Floats) -> ChainSeries:
-    """The samples in units that belong together."""
-    channels = tuple(None if c is None else c / g for c, g in zip(series.channels, gains, strict=True))
-    return ChainSeries(series.times, channels)

@@ -14,8 +14,7 @@ from bayeq.errors import ConvergenceWarning, InputError
 from bayeq.numerics.minimise import minimise
 from bayeq.numerics.settings import STATES
 from bayeq.states.kinematic.kalman import LONG_GAP
-from bayeq.states.kinematic.model import ChainSeries, KinematicModel, Sizes, check_order, sizes_of
-from bayeq.states.kinematic.smoother import Rows, prepare
+from bayeq.states.kinematic.smoother import ChainSeries, KinematicModel, Rows, Sizes, check_order, prepare, sizes_of
 
 # Fewer samples than this say nothing about the noise of a channel.
 LEAST_SAMPLES = 10
@@ -61,27 +60,10 @@ def fit_kinematic(
     stretches spread over them are used instead, 40,000 rows in all (8,000 of more than 10,000 where steps are
     irregular or samples missing).
 
-    Parameters
-    ----------
-    series : sequence of ChainSeries
-        The records; their likelihoods multiply.
-    order : int, optional
-        m, from K+1 to K+4 for a chain of K derivatives; chosen by default.
-    noise_sd : sequence of (float or None), optional
-        Known standard deviations of the noise of each derivative, None where to be estimated.
-    doubts : bool
-        Whether to warn of noise levels that may be off.
-
-    Returns
-    -------
-    KinematicModel
-        Its log-likelihood and leave-one-out density are those of the rows used.
-
-    Raises
-    ------
-    InputError
-        No records, records of different chains, fewer than 10 samples of a channel, a channel that is constant,
-        or arguments out of range.
+    The `order` m, from K+1 to K+4 for a chain of K derivatives, and known standard deviations of the noise of each
+    derivative, `noise_sd`, may be given; with `doubts` a warning says that noise levels may be off. Log-likelihood and
+    leave-one-out density of the model are those of the rows used. An InputError refuses no records, records of
+    different chains, fewer than 10 samples of a channel, a constant channel, and arguments out of range.
 
     Examples
     --------

@@ -35,31 +35,15 @@ SETTLED_SCORE = 1e-8
 
 
 class Tables(NamedTuple):
-    """What the filter leaves of n rows of c channels and m states; filled by `filter_gains` and `filter_means`.
+    """What the filter leaves of n rows of c channels and m states; filled by `filter_gains` and `filter_means`."""
 
-    Attributes
-    ----------
-    entry : (n,) int array
-        Entry of each row in `gains`, `inverse` and `roots`.
-    anew : (n,) bool array
-        Whether the state starts again in the row, as it does after a gap so long that nothing is left to be known.
-    gains, inverse : (n, c, m) and (n, c) arrays
-        For each entry the gain of each channel and one over its innovation's variance; both 0 where missing.
-    roots : (n or 0, m, m) array
-        For each entry a root of the filtered covariance; only where there is room.
-    innovations : (n, c) array
-        What each sample adds to the prediction.
-    means : (n or 0, m) array
-        Filtered means; only where there is room.
-    """
-
-    entry: Ints
-    anew: Bools
-    gains: Floats
-    inverse: Floats
-    roots: Floats
-    innovations: Floats
-    means: Floats
+    entry: Ints  # (n,), entry of each row in `gains`, `inverse` and `roots`
+    anew: Bools  # (n,), whether the state starts again, as after a gap so long that nothing is left to be known
+    gains: Floats  # (n, c, m), for each entry the gain of each channel, 0 where missing
+    inverse: Floats  # (n, c), one over its innovation's variance, 0 where missing
+    roots: Floats  # (n or 0, m, m), for each entry a root of the filtered covariance; only where there is room
+    innovations: Floats  # (n, c), what each sample adds to the prediction
+    means: Floats  # (n or 0, m), filtered means; only where there is room
 
 
 @kernel
@@ -192,16 +176,6 @@ def _measure(S: Floats, k: int, variance: float, gain: Floats) -> float:
 
 
 @kernel
-def _predict(S: Floats, h: float, noise: Floats, f: Floats, M: Floats) -> None:
-    """Root of the covariance a step later, lower triangular."""
-    m = len(f)
-    taylor(h, f)
-    pre_array(S, f, h, noise, M)
-    triangularise(M, m, 2 * m)
-    copy_block(S, M)
-
-
-@kernel
 def _width(S: Floats, k: int) -> float:
     """Standard deviation of state k."""
     total = 0.0
@@ -224,28 +198,13 @@ def filter_gains(
 ) -> tuple[int, int, float]:
     """Gains of the filter of a record; the state is zero before the first row.
 
-    Parameters
-    ----------
-    steps : (n,) array
-        Step before each row in regular steps, exactly 1 where regular; the first is not used.
-    present : (n, c) array
-        Where there is a sample of channel j.
-    orders : (c,) array
-        Which derivative channel j measures.
-    variances : (c,) array
-        Noise of the channels.
-    noise : (m, m) array
-        Lower root of Qd over a regular step.
-    start : (m, m) array
-        Standard deviations of the state before the first row, on the diagonal.
-    tables : Tables
-        Zeros in gains and inverse; filled, but for innovations and means.
+    `steps`, (n,), are those before each row in regular steps, exactly 1 where regular; the first is not used. There is
+    a sample of channel j, derivative orders[j], where `present`, (n, c); `variances`, (c,), are of its noise. `noise`
+    is the lower root of Qd over a regular step, `start` has standard deviations of the state before the first row on
+    the diagonal. `tables`, with zeros in gains and inverse, are filled, but for innovations and means.
 
-    Returns
-    -------
-    entries, steady, log_determinant : int, int, float
-        How many entries were filled; that of the settled rows, -1 if none have settled; sum of the logarithms of the
-        innovations' variances.
+    Returns how many entries were filled; that of the settled rows, -1 if none have settled; and the sum of the
+    logarithms of the innovations' variances.
     """
     n, c = present.shape
     m = len(start)
@@ -264,7 +223,10 @@ def filter_gains(
             log_determinant += steady_log
             continue
         if t > 0:
-            _predict(S, steps[t], noise, f, M)
+            taylor(steps[t], f)
+            pre_array(S, f, steps[t], noise, M)
+            triangularise(M, m, 2 * m)
+            copy_block(S, M)
             blank += steps[t]
             if blank > LONG_GAP and _width(S, orders[0]) > widest:
                 anew[t], regular, blank = True, False, 0.0
