@@ -38,68 +38,33 @@ LEAST_BINS = 8
 
 
 class Discrepancy(NamedTuple):
-    """The discrepancy of an equation: the force that its terms do not explain.
+    """The discrepancy of an equation: the force that its terms do not explain."""
 
-    Attributes
-    ----------
-    size : float
-        Standard deviation of the discrepancy as a share of the target's.
-    low, high : float
-        Ends of its 95 % interval.
-    p : float
-        Probability by chance of a likelihood that is greater than without by as much, see `chance_of`.
-    octave : (float, float)
-        Between these frequencies [Hz] lies most of its power.
-    """
-
-    size: float
-    low: float
+    size: float  # standard deviation of the discrepancy as a share of the target's
+    low: float  # ends of its 95 % interval
     high: float
-    p: float
-    octave: tuple[float, float]
+    p: float  # probability by chance of a likelihood that is greater than without by as much, see `chance_of`
+    octave: tuple[float, float]  # between these frequencies [Hz] lies most of its power
 
 
 class Octave(NamedTuple):
-    """Power of the innovations of a channel in an octave.
-
-    Attributes
-    ----------
-    channel : str
-    low, high : float
-        Of the octave [Hz].
-    ratio : float
-        The power over that of white noise.
-    p : float
-        Probability by chance of a share so far from its median.
-    share : float
-        Of all frequencies.
-    """
+    """Power of the innovations of a channel in an octave."""
 
     channel: str
-    low: float
+    low: float  # [Hz]
     high: float
-    ratio: float
-    p: float
-    share: float
+    ratio: float  # the power over that of white noise
+    p: float  # probability by chance of a share so far from its median
+    share: float  # of all frequencies
 
 
 @dataclass(frozen=True)
 class Adequacy:
-    """Tests of a fit.
+    """Tests of a fit."""
 
-    Attributes
-    ----------
-    discrepancies : tuple of Discrepancy
-        One per equation.
-    octaves : tuple of Octave
-        Of the channels of all chains.
-    shapes : mapping of str to Shape
-        Of the standardised innovations of these channels.
-    """
-
-    discrepancies: tuple[Discrepancy, ...]
-    octaves: tuple[Octave, ...]
-    shapes: Mapping[str, Shape] = field(default_factory=dict)
+    discrepancies: tuple[Discrepancy, ...]  # one per equation
+    octaves: tuple[Octave, ...]  # of the channels of all chains
+    shapes: Mapping[str, Shape] = field(default_factory=dict)  # of the standardised innovations of these channels
 
     @property
     def limit(self) -> float:

@@ -33,25 +33,13 @@ LONGEST = 2.0
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Where a fit stands.
+    """Where a fit stands."""
 
-    Attributes
-    ----------
-    chosen, theta : Candidates, (r,) array
-        Coefficients that are not zero, and their values.
-    paths : tuple of (n, S) arrays
-        States of each record.
-    levels : Levels
-        Noise and discrepancies.
-    blurs : tuple of Blur
-        Widths of the jumps in each record; empty where no error of the paths is known.
-    """
-
-    chosen: Candidates
-    theta: Floats
-    paths: tuple[Floats, ...]
-    levels: Levels
-    blurs: tuple[Blur, ...] = ()
+    chosen: Candidates  # coefficients that are not zero
+    theta: Floats  # (r,), their values
+    paths: tuple[Floats, ...]  # (n, S), states of each record
+    levels: Levels  # noise and discrepancies
+    blurs: tuple[Blur, ...] = ()  # widths of the jumps in each record; empty where no error of the paths is known
 
     def halfway(self, other: State) -> State:
         """The state halfway to another one of the same model; levels are those of this one."""
@@ -99,25 +87,13 @@ class Quadratic:
 
 @dataclass(frozen=True, eq=False)
 class Statistics:
-    """The marginal likelihood of a linearised model, and what it is made of.
+    """The marginal likelihood of a linearised model, and what it is made of."""
 
-    Attributes
-    ----------
-    value : float
-        ln p(data | levels), coefficients integrated out.
-    here : float
-        The same without what moving the coefficients by `delta` promises.
-    delta, covariance : (r,) and (r, r) arrays
-        Posterior mean of the coefficients' deviations, and their covariance.
-    filtered : tuple of Filtered
-        Of each record.
-    """
-
-    value: float
-    here: float
-    delta: Floats
-    covariance: Floats
-    filtered: tuple[Filtered, ...]
+    value: float  # ln p(data | levels), coefficients integrated out
+    here: float  # the same without what moving the coefficients by `delta` promises
+    delta: Floats  # (r,), posterior mean of the coefficients' deviations
+    covariance: Floats  # (r, r), of the coefficients
+    filtered: tuple[Filtered, ...]  # of each record
 
 
 def linearised(layout: Layout, series: Sequence[Series], state: State, substeps: int = 1) -> list[Linear]:

@@ -78,21 +78,11 @@ def step_variance(order: int, corner: float, interval: float, level: float) -> f
 
 
 class Spectrum(NamedTuple):
-    """Means of periodograms, Hann's window taken of every segment (Welch 1967).
+    """Means of periodograms, Hann's window taken of every segment (Welch 1967)."""
 
-    Attributes
-    ----------
-    omega : (B,) array
-        Frequencies [rad/sample].
-    power : (B,) array
-        Mean over the segments; the mean over all frequencies is the variance.
-    segments : (B,) array
-        Their number.
-    """
-
-    omega: Floats
-    power: Floats
-    segments: Floats
+    omega: Floats  # (B,), frequencies [rad/sample]
+    power: Floats  # (B,), mean over the segments; the mean over all frequencies is the variance
+    segments: Floats  # (B,), their number
 
 
 def mean_spectrum(pieces: Sequence[Floats]) -> Spectrum:

@@ -69,41 +69,18 @@ MOST_SUBSTEPS, SMOOTH_STEPS, STEP_ERROR = 8, 0.98, 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """Records to be explained, candidates, and their prior.
+    """Records to be explained, candidates, and their prior."""
 
-    Attributes
-    ----------
-    layout : Layout
-        States and candidates.
-    series : tuple of Series
-        The records.
-    precision : (C (P + 1),) array
-        1/variance of each coefficient's prior, were it not zero.
-    log_odds : (C (P + 1),) array
-        Of each coefficient not being zero.
-    substeps : int
-        Runge-Kutta steps between two samples.
-    counted : float or None
-        Number of samples that the likelihood is of, where the series are some of them only.
-    tolerance : float or None
-        See `bayeq.discover`.
-    ranges : (C (P + 1),) array or None
-        What the log odds have lost to the ranges of constants inside terms.
-    flows : Flows or None
-        What models are selected from, where a sum of states is conserved.
-    recent : list
-        The last two linearisations and what they are of: fits go on from where others have stood.
-    """
-
-    layout: Layout
-    series: tuple[Series, ...]
-    precision: Floats
-    log_odds: Floats
-    substeps: int = 1
-    counted: float | None = None
-    tolerance: float | None = None
-    ranges: Floats | None = None
-    flows: Flows | None = None
+    layout: Layout  # states and candidates
+    series: tuple[Series, ...]  # the records
+    precision: Floats  # (C (P + 1),), 1/variance of each coefficient's prior, were it not zero
+    log_odds: Floats  # (C (P + 1),), of each coefficient not being zero
+    substeps: int = 1  # Runge-Kutta steps between two samples
+    counted: float | None = None  # number of samples that the likelihood is of, where the series are some of them only
+    tolerance: float | None = None  # see `bayeq.discover`
+    ranges: Floats | None = None  # (C (P + 1),), what the log odds have lost to the ranges of constants inside terms
+    flows: Flows | None = None  # what models are selected from, where a sum of states is conserved
+    # the last two linearisations and what they are of: fits go on from where others have stood
     recent: list[tuple[tuple[object, ...], list[Linear]]] = field(default_factory=list, repr=False)
 
     def linearised(self, state: State) -> list[Linear]:
@@ -211,36 +188,17 @@ def finer(task: Task, state: State) -> Task:
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A model fitted.
+    """A model fitted."""
 
-    Attributes
-    ----------
-    model : (C (P + 1),) bool array
-        Coefficients that are not zero.
-    state : State
-        Their values, the paths and the levels.
-    evidence : float
-        ln p(data, model), up to a constant.
-    value : float
-        ln p(data | levels).
-    expand : callable
-        Gives `quadratic`.
-    averages : (C,) array or None
-        What averaging over the size of each discrepancy makes of it; None where its likeliest size is taken.
-    tried : dict of bytes to float
-        Evidence of the models that were fitted to be compared.
-    power : float
-        That `quadratic` is raised to (`bayeq.likelihood.adequacy`).
-    """
-
-    model: Bools
-    state: State
-    evidence: float
-    value: float
-    expand: Callable[[], Quadratic]
+    model: Bools  # (C (P + 1),), coefficients that are not zero
+    state: State  # their values, the paths and the levels
+    evidence: float  # ln p(data, model), up to a constant
+    value: float  # ln p(data | levels)
+    expand: Callable[[], Quadratic]  # gives `quadratic`
+    # (C,), what averaging over the size of each discrepancy makes of it; None where its likeliest size is taken
     averages: Floats | None = None
-    tried: dict[bytes, float] = field(default_factory=dict)
-    power: float = 1.0
+    tried: dict[bytes, float] = field(default_factory=dict)  # evidence of the models that were fitted to be compared
+    power: float = 1.0  # that `quadratic` is raised to (`bayeq.likelihood.adequacy`)
 
     @cached_property
     def quadratic(self) -> Quadratic:

@@ -28,47 +28,24 @@ LINES = 12
 
 
 class Leftover(NamedTuple):
-    """What the terms of an equation leave of its right-hand side, in sums over batches of samples.
+    """What the terms of an equation leave of its right-hand side, in sums over batches of samples."""
 
-    Attributes
-    ----------
-    products, pulls : (B, r, r) and (B, r) arrays
-        Of the columns with each other, and with the discrepancy.
-    square, weight : float
-        Of the discrepancy, its sum and its weights'.
-    target : float
-        Variance of the target.
-    lines : tuple of float
-        `lines_of_equal_power` of what the projection leaves of the right-hand side.
-    """
-
-    products: Floats
-    pulls: Floats
-    square: float
-    weight: float
-    target: float
-    lines: tuple[float, ...]
+    products: Floats  # (B, r, r), of the columns with each other
+    pulls: Floats  # (B, r), of the columns with the discrepancy
+    square: float  # sum of squares of the discrepancy
+    weight: float  # sum of the weights of samples
+    target: float  # variance of the target
+    lines: tuple[float, ...]  # `lines_of_equal_power` of what the projection leaves of the right-hand side
 
 
 class Projected(NamedTuple):
-    """A projection.
+    """A projection."""
 
-    Attributes
-    ----------
-    change : (r,) array
-        Of the coefficients, from those of the likelihood.
-    covariance : (r, r) array
-        Which that change has for what it leaves of the right-hand side; zero where batches are too few.
-    freedom : float
-        Degrees of freedom of that covariance.
-    share : float
-        Root mean square of what is left, over the target's standard deviation.
-    """
-
-    change: Floats
+    change: Floats  # (r,), of the coefficients, from those of the likelihood
+    # (r, r), which that change has for what it leaves of the right-hand side; zero where batches are too few
     covariance: Floats
-    freedom: float
-    share: float
+    freedom: float  # degrees of freedom of that covariance
+    share: float  # root mean square of what is left, over the target's standard deviation
 
 
 def leftover(

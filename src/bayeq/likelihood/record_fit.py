@@ -49,36 +49,18 @@ SOME, READ = 0.05**2, 2.0
 
 @dataclass(frozen=True, eq=False)
 class RecordFit:
-    """The fit of all equations of a system to its records.
+    """The fit of all equations of a system to its records."""
 
-    Attributes
-    ----------
-    task : Task
-        What was to be explained.
-    fitted : Fitted
-        A model, and the likelihood about it: at first of the included coefficients.
-    posterior : Posterior
-        Over the models of all equations, in units of the coefficients' priors.
-    nearly : Nearly
-        How nearly true the equations are.
-    likeliest : float
-        Evidence of the likeliest model that was fitted: the posterior is about that one.
-    own : bool
-        Whether the likelihood is that about the model; of one that could not be fitted it is that about another.
-    more : (bool array, Block) or None
-        A model, and the sums over all rows about it, where the series are some of them.
-    forms : mapping of str to mapping of str to float
-        Of each either-or, the log posteriors of its members.
-    """
-
-    task: Task
-    fitted: Fitted
-    posterior: Posterior
-    nearly: Nearly
-    likeliest: float = -np.inf
+    task: Task  # what was to be explained
+    fitted: Fitted  # a model, and the likelihood about it: at first of the included coefficients
+    posterior: Posterior  # over the models of all equations, in units of the coefficients' priors
+    nearly: Nearly  # how nearly true the equations are
+    likeliest: float = -np.inf  # evidence of the likeliest model that was fitted: the posterior is about that one
+    # whether the likelihood is that about the model; of one that could not be fitted it is that about another
     own: bool = True
+    # a model, and the sums over all rows about it, where the series are some of them
     more: tuple[Bools, Block] | None = None
-    forms: Forms = field(default_factory=dict)
+    forms: Forms = field(default_factory=dict)  # of each either-or, the log posteriors of its members
 
     @classmethod
     def of(cls, task: Task, fitted: Fitted) -> RecordFit:

@@ -66,17 +66,10 @@ NEGLIGIBLE = 10.0
 
 @dataclass(frozen=True, eq=False)
 class Nearly:
-    """How nearly true the equations are.
+    """How nearly true the equations are."""
 
-    Attributes
-    ----------
-    tau : tuple of float
-        The most probable size of each equation's function, as a share of the target's standard deviation.
-    exact : tuple of float
-        The probability that there is none, or none larger than the tolerance; NaN where it is not known.
-    """
-
-    tau: Sizes
+    tau: Sizes  # the most probable size of each equation's function, as a share of the target's standard deviation
+    # the probability that there is none, or none larger than the tolerance; NaN where it is not known
     exact: tuple[float, ...]
 
     @classmethod
@@ -178,27 +171,13 @@ def hidden_terms(layout: Layout, fewest: int) -> tuple[Expression, ...]:
 
 
 class Freed(NamedTuple):
-    """What a term of a model changes by with one of its constants.
+    """What a term of a model changes by with one of its constants."""
 
-    Attributes
-    ----------
-    name : str
-        Of the constant.
-    of : (int, int)
-        Numbers of the equation and of the term.
-    change : Expression
-        By a unit on the scale of the constant.
-    column : int
-        Of the change, among all candidates of an equation.
-    deviation : float
-        Standard deviation of the constant's prior.
-    """
-
-    name: str
-    of: tuple[int, int]
-    change: Expression
-    column: int
-    deviation: float
+    name: str  # of the constant
+    of: tuple[int, int]  # numbers of the equation and of the term
+    change: Expression  # by a unit on the scale of the constant
+    column: int  # of the change, among all candidates of an equation
+    deviation: float  # standard deviation of the constant's prior
 
 
 def freed(layout: Layout, state: State, first: int) -> list[Freed]:
@@ -216,29 +195,16 @@ class Soft:
     """The likelihood of all candidates about a fit, beside functions of some size in each equation.
 
     Where an equation has few candidates the functions are of hidden ones as well, which no model has.
-
-    Attributes
-    ----------
-    task, fitted : Task, Fitted
-        The fit.
-    visible : (C (P + 1),) int array
-        The candidates' numbers among all, hidden ones too.
-    whole : Quadratic
-        The likelihood of all, its level that of the fit.
-    about : array
-        All coefficients of the fit.
-    spreads : list of (p, K) arrays
-        S of functions of size 1 in each equation: deviations of all coefficients are N(0, tau^2 S S').
-    constants : sequence of Freed
-        What constants inside the fit's terms may move by: a model of these terms has it integrated out.
     """
 
-    task: Task
+    task: Task  # the fit
     fitted: Fitted
-    visible: NDArray[np.intp]
-    whole: Quadratic
-    about: Floats
+    visible: NDArray[np.intp]  # (C (P + 1),), the candidates' numbers among all, hidden ones too
+    whole: Quadratic  # the likelihood of all, its level that of the fit
+    about: Floats  # all coefficients of the fit
+    # (p, K), S of functions of size 1 in each equation: deviations of all coefficients are N(0, tau^2 S S')
     spreads: list[Floats]
+    # what constants inside the fit's terms may move by: a model of these terms has it integrated out
     constants: Sequence[Freed] = ()
     likeliest: dict[Sizes, float] = field(default_factory=dict)
     sets: dict[Sizes, ModelSet] = field(default_factory=dict)

@@ -37,20 +37,12 @@ _BOUND = "an inequality bounds one coefficient by numbers, as in 'v <= 0' or '0 
 
 @dataclass(frozen=True, eq=False)
 class Constraints:
-    """What is known of the coefficients of one equation.
+    """What is known of the coefficients of one equation."""
 
-    Attributes
-    ----------
-    equalities : Equalities
-        Linear equations between coefficients.
-    limits : (P, 2) array
-        Least and largest value of each coefficient, infinite where there is none; a sign is a limit of 0.
-    stated : tuple of (int, float, float)
-        Coefficients that are known about: the term, the mean and the standard deviation of a normal distribution.
-    """
-
-    equalities: Equalities
+    equalities: Equalities  # linear equations between coefficients
+    # (P, 2), least and largest value of each coefficient, infinite where there is none; a sign is a limit of 0
     limits: Floats
+    # coefficients that are known about: the term, the mean and the standard deviation of a normal distribution
     stated: tuple[tuple[int, float, float], ...] = ()
 
     @property

@@ -70,35 +70,21 @@ class DroppedTerm:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Design:
-    """A dictionary on the rows of some motion.
+    """A dictionary on the rows of some motion."""
 
-    Attributes
-    ----------
-    motion : Motion
-        The rows.
-    terms : tuple of Expression
-        The P candidates that can be used.
-    train, held_out : tuple of Gram
-        Statistics of the training rows and of the rows held out for each target, as measured where it was; `held_out`
-        is empty if no rows are held out. Rows that were bridged do not count.
-    dropped : tuple of DroppedTerm
-        Candidates left out.
-    kept : tuple of (n, P) array
-        Columns on the training rows of each record; empty where there would be too many numbers.
-    allowed : (C, P) bool array
-        Candidates of each equation; the others are in the dictionaries of other equations only.
-    scan : callable, optional
-        Where the motion is of some rows only: takes the number of an equation, a posterior and what was found of its
-        residuals in these rows, and says what those of all rows are.
-    """
-
-    motion: Motion
-    terms: tuple[Expression, ...]
+    motion: Motion  # the rows
+    terms: tuple[Expression, ...]  # the P candidates that can be used
+    # statistics of the training rows and of the rows held out for each target, as measured where it was; `held_out` is
+    # empty if no rows are held out. Rows that were bridged do not count.
     train: tuple[Gram, ...]
     held_out: tuple[Gram, ...]
-    dropped: tuple[DroppedTerm, ...]
+    dropped: tuple[DroppedTerm, ...]  # candidates left out
+    # (n, P), columns on the training rows of each record; empty where there would be too many numbers
     kept: tuple[Floats, ...]
+    # (C, P), candidates of each equation; the others are in the dictionaries of other equations only
     allowed: Bools = field(default_factory=lambda: np.ones((1, 1), dtype=np.bool_))
+    # where the motion is of some rows only: takes the number of an equation, a posterior and what was found of its
+    # residuals in these rows, and says what those of all rows are
     scan: Callable[[int, Posterior, Residuals], Residuals] | None = None
 
     def __post_init__(self) -> None:

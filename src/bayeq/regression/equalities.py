@@ -28,15 +28,9 @@ def _sum(a: float, b: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Linear:
-    """A linear combination of coefficients and a constant.
+    """A linear combination of coefficients and a constant."""
 
-    Attributes
-    ----------
-    slopes : dict
-        Factor of each coefficient by its place in the dictionary, in the order of the text; none is 0.
-    constant : float
-    """
-
+    # factor of each coefficient by its place in the dictionary, in the order of the text; none is 0
     slopes: dict[int, float]
     constant: float
 
@@ -63,15 +57,6 @@ class Linear:
 class Equalities:
     """Solved linear equations theta_e = q + C theta_k.
 
-    Attributes
-    ----------
-    names : tuple of str
-        The P terms.
-    kept, eliminated : (F,), (E,) int arrays
-        Terms that inference is left with, and those that follow from them.
-    slopes, offsets : (E, F), (E,) arrays
-        C and q.
-
     Examples
     --------
     >>> half = Linear({0: 1.0, 1: -0.5}, 0.0)  # theta_0 - 0.5 theta_1 = 0
@@ -79,11 +64,11 @@ class Equalities:
     array([[0.5, 0. ]])
     """
 
-    names: tuple[str, ...]
-    kept: NDArray[np.intp]
-    eliminated: NDArray[np.intp]
-    slopes: Floats
-    offsets: Floats
+    names: tuple[str, ...]  # the P terms
+    kept: NDArray[np.intp]  # (F,), terms that inference is left with
+    eliminated: NDArray[np.intp]  # (E,), those that follow from them
+    slopes: Floats  # (E, F), C
+    offsets: Floats  # (E,), q
 
     def basis(self, support: Bools) -> Floats:
         """How the r coefficients of some terms move with the free ones among them, (r, f).
