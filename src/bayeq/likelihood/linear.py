@@ -127,7 +127,7 @@ def linearise(
     if layout.late:
         kinds, gradient = _with_lags(layout, series.intervals, path, seen, kinds.copy(), gradient)
     related = (transition != 0.0).any(axis=0)
-    free, coupling = targets_along(layout, path, inputs, chosen, theta)
+    terms, coupling = terms_along(layout, path, inputs, chosen, theta)
     return Linear(
         path=path,
         end=end,
@@ -142,7 +142,7 @@ def linearise(
         force=blur.force,
         bends=bends,
         discrepancy=layout.discrepancy,
-        terms=terms_at(layout, path, inputs, free),
+        terms=terms,
         coupling=coupling,
         open_to=open_to,
         chosen=chosen,
@@ -258,32 +258,20 @@ def _to_mean(layout: Layout, intervals: Floats, end: Floats, transition: Floats)
         transition[:, slope] = np.einsum("nj,njs->ns", factors, transition[:, states])
 
 
-def _columns(layout: Layout, path: Floats, inputs: Floats) -> dict[str, Floats]:
-    columns = dict(zip(layout.names, np.asfortranarray(path).T, strict=True))
-    return columns | dict(zip((*layout.given, *layout.jump_widths), inputs[:, :, 0].T, strict=True))
-
-
-def targets_along(
+def terms_along(
     layout: Layout, path: Floats, inputs: Floats, chosen: Candidates, theta: Floats
 ) -> tuple[Floats, Floats]:
-    """Targets without discrepancies, (n, C), and (I - A)^-1, (n, C, C), of implicit equations; of others empty."""
-    chains = layout.chains
-    if not layout.implicit:
-        return np.zeros((0, chains)), np.zeros((0, chains, chains))
-    return layout.targets_along(_columns(layout, path, inputs), chosen, theta, layout.blurred)
-
-
-def terms_at(layout: Layout, path: Floats, inputs: Floats, free: Floats) -> Floats:
-    """Candidates and the constant at the states of a path, (n, P + 1), what is given (n, m, 4) with widths of jumps.
-
-    `free` are the targets without discrepancies, (n, C), where terms hold them.
-    """
-    columns = _columns(layout, path, inputs)
+    """Candidates and the constant at the states of a path, (n, P + 1), what is given (n, m, 4) with widths of jumps;
+    (I - A)^-1, (n, C, C), of implicit equations, of others empty."""
+    columns = dict(zip(layout.names, np.asfortranarray(path).T, strict=True))
+    columns |= dict(zip((*layout.given, *layout.jump_widths), inputs[:, :, 0].T, strict=True))
+    coupling = np.zeros((0, layout.chains, layout.chains))
     if layout.implicit:
+        free, coupling = layout.targets_along(columns, chosen, theta, layout.blurred)
         columns |= dict(zip(layout.roles.targets, free.T, strict=True))
     out = np.ones((len(path), len(layout.terms) + 1))
     out[:, :-1] = evaluate_terms(layout.blurred, columns)
-    return out
+    return out, coupling
 
 
 def derivatives_along(linear: Linear, at_samples: Floats, between: Floats) -> Floats:

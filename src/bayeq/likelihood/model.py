@@ -24,10 +24,10 @@ from bayeq.likelihood.fit import (
     improved,
     information,
     linearised,
+    log_mean,
     marginal,
     maximised,
     of_inputs,
-    over_sizes,
     solved,
 )
 from bayeq.likelihood.layout import Candidates, Layout, Series
@@ -272,14 +272,33 @@ def over_all_sizes(task: Task, fitted: Fitted, beside: Fitted | None = None) -> 
     return replace(fitted, evidence=fitted.evidence + float(averages.sum()), averages=averages)
 
 
-def _over_sizes(task: Task, fitted: Fitted, known: Floats) -> tuple[Floats, State | None]:
-    """Averages over the sizes of discrepancies, (C,), and the state with likelier ones if there are."""
-    state, own = fitted.state, fitted.state.levels.discrepancy
-    averages, met = over_sizes(task.linearised(state), state, task.precision_of(state), fitted.value, known)
-    likelier = replace(state, levels=met)
-    if (met.discrepancy == own).all() or not task.marginal(likelier, keep=False).value > fitted.value + FLAT:
-        return averages, None
-    return averages, likelier
+def _over_sizes(task: Task, fitted: Fitted, former: Floats) -> tuple[Floats, State | None]:
+    """ln of the likelihood averaged over sizes of each discrepancy, less that of the likeliest; a likelier state.
+
+    The standard deviation of each discrepancy has a flat prior on a logarithmic scale between the bounds of `Levels`. A
+    model that needs no discrepancy is as likely at any small one, and one that needs it at its size only. The
+    discrepancies are integrated one by one, about the likeliest sizes; those known from a `former` fit, (C,), not
+    again, those that are NaN there.
+    """
+    state, levels = fitted.state, fitted.state.levels
+    bounds = np.log(levels.sizes)
+    means, met = np.where(levels.stated, 0.0, former), levels.discrepancy.copy()
+    for c in np.flatnonzero(np.isnan(former)).tolist():
+        likeliest = float(np.log(levels.discrepancy[c]))
+
+        def log_ratio(size: float, c: int = c, likeliest: float = likeliest) -> float:
+            if size == likeliest:
+                return 0.0
+            other = replace(state, levels=levels.with_discrepancy(c, np.exp(size)))
+            return task.marginal(other, keep=False).value - fitted.value
+
+        low, high = bounds[:, c].tolist()
+        means[c], size = log_mean(log_ratio, low, high, likeliest)
+        met[c] = met[c] if size == likeliest else np.exp(size)
+    other = replace(state, levels=replace(levels, discrepancy=met))
+    if (met == levels.discrepancy).all() or not task.marginal(other, keep=False).value > fitted.value + FLAT:
+        return means, None
+    return means, other
 
 
 def expanded(task: Task, state: State, curved: Floats) -> Quadratic:

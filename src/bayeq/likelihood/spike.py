@@ -34,13 +34,12 @@ from bayeq.likelihood.fit import (
     coefficients,
     corrections,
     information,
-    marginal,
     solved,
 )
 from bayeq.likelihood.layout import Candidates, Layout
 from bayeq.likelihood.model import Fitted, Task, calmed, fit, over_all_sizes, with_model
 from bayeq.likelihood.search import MOST_TO_MOVE
-from bayeq.likelihood.unknowns import moved, tangents_of
+from bayeq.likelihood.unknowns import extended, moved, tangents_of
 from bayeq.numerics.settings import LIKELIHOOD
 
 Sizes = tuple[float, ...]
@@ -215,24 +214,16 @@ class Soft:
         """From a fit."""
         layout, state = task.layout, fitted.state
         allowed = task.log_odds.reshape(layout.chains, -1) > -np.inf
-        P, precision = len(layout.terms), task.precision_of(state)
-        constants: Sequence[Freed] = ()
+        P, constants = len(layout.terms), list[Freed]()
+        hidden: Sequence[Expression] = ()
         if task.counted is None:
             hidden = hidden_terms(layout, int(allowed[~state.levels.stated, :-1].sum(axis=1).min()))
             constants = freed(layout, state, P + len(hidden))
-            layout = replace(layout, terms=(*layout.terms, *hidden, *(one.change for one in constants)))
+        own, state = extended(task, state, [*hidden, *(one.change for one in constants)])
+        layout, functions = own.layout, np.arange(P, P + len(hidden))
         width = len(layout.terms) + 1
-        functions = np.arange(P, width - 1 - len(constants))
         column = np.append(np.arange(P), width - 1)
-        state = replace(state, chosen=state.chosen._replace(term=column[state.chosen.term]))
-        stated = [one._replace(parts=tuple((c, int(column[j]), w) for c, j, w in one.parts)) for one in layout.stated]
-        layout = replace(layout, stated=tuple(stated))
-        # the widths of further jumps are not known
-        blurs = state.blurs if layout.jumps == state.levels.layout.jumps else ()
-        state = replace(state, levels=replace(state.levels, layout=layout), blurs=blurs)
-        own = replace(task, layout=layout, recent=[])
-        linears = own.linearised(state)
-        found = marginal(linears, state, state.levels, precision)
+        linears, found = own.linearised(state), own.marginal(state)
         smoothed = adjoints(linears, state.levels, found, found.delta, curved=True, smoothed=True)
         curved = corrections(layout, linears, smoothed)
         whole = fitted.quadratic
