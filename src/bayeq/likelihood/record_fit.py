@@ -19,7 +19,6 @@ from bayeq.inference.collapsed.search import scores_of
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.adequacy import Adequacy, adequacy_of, power_of
 from bayeq.likelihood.block import Block, at_its_path
-from bayeq.likelihood.courses import with_other_inputs
 from bayeq.likelihood.fit import Quadratic, State, candidates, of_stated, solved
 from bayeq.likelihood.hidden import with_laws_of
 from bayeq.likelihood.lags import lags_of
@@ -27,7 +26,7 @@ from bayeq.likelihood.layout import Stated
 from bayeq.likelihood.levels import LEAST_NOISE
 from bayeq.likelihood.model import Fitted, Task, finished, fit, from_all_levels, of_motion, with_model
 from bayeq.likelihood.projection import Leftover, leftover
-from bayeq.likelihood.search import from_starts, resumed, search
+from bayeq.likelihood.search import from_starts, resumed, search, with_other_inputs
 from bayeq.likelihood.spike import Nearly, Soft, among_fitted, among_neighbours, averaged, of_gram, soft_of
 from bayeq.likelihood.start import carried_over, series_and_paths, start_from
 from bayeq.likelihood.unequal import with_unequal_noise
@@ -413,8 +412,8 @@ def fit_record(
         With time, smoothed.
     terms : sequence of Expression
         The P candidates.
-    log_odds : (P + 1,) or (C, P + 1) array
-        Of each candidate, and of the constant, not being zero; of all equations or of each.
+    log_odds : (C, P + 1) array
+        Of each candidate, and of the constant, not being zero.
     grams : sequence of Gram
         Of the smoothed rows, one per equation.
     tolerance : float, optional
@@ -434,7 +433,7 @@ def fit_record(
     """
     with np.errstate(all="ignore"), suppress(np.linalg.LinAlgError):
         some, places = _stretches(motion)
-        log_odds = first_members(some, terms, np.broadcast_to(log_odds, (len(motion.roles.chains), len(terms) + 1)))
+        log_odds = first_members(some, terms, log_odds)
         starts = []
         for start, own in [(motion, grams), *others]:
             with suppress(np.linalg.LinAlgError):
@@ -473,29 +472,17 @@ def _fitted(
 
 def learned_lags(
     motion: Motion, terms: Sequence[Expression], log_odds: Floats, grams: Sequence[Gram]
-) -> tuple[Mapping[str, Lag], float] | None:
+) -> tuple[Mapping[str, Lag], float]:
     """Lags of channels, as a first fit of a dictionary to the training rows of some motion finds them.
 
-    Parameters
-    ----------
-    motion, terms, log_odds, grams
-        As for `fit_record`.
-
-    Returns
-    -------
-    (mapping of str to Lag, float) or None
-        The lags; and how far the farthest is from what has been taken out, in standard deviations. None where the
-        likelihood cannot be evaluated.
+    Also how far the farthest is from what has been taken out, in standard deviations. Arguments are as for
+    `fit_record`; a LinAlgError says that the likelihood cannot be evaluated.
     """
     with np.errstate(all="ignore"):
         some, _ = _stretches(motion)
-        log_odds = np.broadcast_to(log_odds, (len(motion.roles.chains), len(terms) + 1))
         task, states = start_from(some, terms, grams, first_members(some, terms, log_odds), None)
-        try:
-            task, fitted = from_starts(task, states)
-            lags = lags_of(task, finished(task, fitted).state)
-        except np.linalg.LinAlgError:
-            return None
+        task, fitted = from_starts(task, states)
+        lags = lags_of(task, finished(task, fitted).state)
     before = motion.sensors.lags
     return lags, max((abs(one.value - before[name].value) / one.sd for name, one in lags.items()), default=0.0)
 

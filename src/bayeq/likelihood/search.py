@@ -2,7 +2,7 @@
 
 1. `on_the_way`, from each start: linearise, select on the Gram of all candidates, fit, and again until the model
    stays.
-2. `bayeq.likelihood.courses.with_other_inputs`: other courses of the inputs between samples are tried.
+2. `with_other_inputs`: other courses of the inputs between samples are tried, and taken where the motion is likelier.
 3. `from_all_levels` fits the model.
 4. `resumed`: what was found on some rows is fitted to all, in rounds as in 1.
 5. `bayeq.likelihood.spike`: flips and swaps of single terms, each compared by the evidence of its own fit.
@@ -19,18 +19,24 @@ from functools import cache, partial
 import numpy as np
 
 from bayeq.inference.collapsed.search import best_models, neighbours
-from bayeq.likelihood.fit import State
+from bayeq.likelihood.fit import State, of_inputs
 from bayeq.likelihood.model import (
+    FLAT,
     Fitted,
     Task,
+    calmed,
     finer,
+    finished,
     fit,
     from_all_levels,
+    of_motion,
     over_all_sizes,
     with_model,
     with_small_discrepancy,
 )
+from bayeq.likelihood.start import with_courses
 from bayeq.numerics.settings import LIKELIHOOD
+from bayeq.states import Motion
 
 # Linearisations until the support stays.
 ROUNDS = 8
@@ -226,3 +232,54 @@ def resumed(task: Task, state: State) -> Fitted:
     best = over_all_sizes(task, with_small_discrepancy(task, best) if task.rows > MOST_TO_MOVE else best)
     task.recent.clear()
     return best
+
+
+def with_other_inputs(motion: Motion, task: Task, best: Fitted) -> tuple[Task, Fitted]:
+    """The fit, or one with other courses of inputs between samples where the motion is then likelier.
+
+    Clearly so where channels may be late, or lag behind by a law: an input that is held is half a sample late. Within
+    the half nat in which the likelihood is flat, as courses of finely sampled inputs are, the model stays.
+    """
+    margin = CLEARLY if task.layout.late or task.layout.roles.hidden else 0.0
+    for k in range(len(task.layout.roles.inputs)):
+        tried = [(task, best if best.averages is not None else fit(task, best.state, coarse=True))]
+        for group in with_courses(motion, task, best, k):
+            there, state = max(group, key=lambda pair: at_once(*pair))
+            try:
+                tried.append((there, fit(there, noisier(there, calmed(state), k), coarse=True)))
+            except np.linalg.LinAlgError:
+                continue
+        likeliest = max(tried, key=lambda pair: of_likeliest(*pair))
+        gain = of_likeliest(*likeliest) - of_likeliest(*tried[0])
+        if likeliest is not tried[0] and gain > margin:
+            there, state = likeliest[0], likeliest[1].state
+            try:
+                pairs = [(task, best), on_the_way(there, state) if gain > FLAT else likeliest]
+                most = max(one.state.levels.kappa.max() for _, one in pairs)
+                if best.averages is not None or most >= LIKELIHOOD.adequate:
+                    # where a discrepancy is left coarse fits may be far from the likeliest levels
+                    pairs = [(own, finished(own, one)) for own, one in pairs]
+            except np.linalg.LinAlgError:
+                continue
+            task, best = max(pairs, key=lambda pair: of_motion(*pair))
+    return task, best
+
+
+def of_likeliest(task: Task, fitted: Fitted) -> float:
+    """`of_motion` with the likeliest discrepancies, as coarse fits have it."""
+    return of_motion(task, fitted) - (0.0 if fitted.averages is None else float(fitted.averages.sum()))
+
+
+def at_once(task: Task, state: State) -> float:
+    """`of_motion` of a start, up to the prior of its model."""
+    return task.value(state) - of_inputs(task.linearised(state), state.levels)
+
+
+def noisier(task: Task, state: State, k: int) -> State:
+    """The state with much noise in input k, so that a discrepancy does not explain that noise."""
+    levels, i = state.levels, task.layout.first_input + k
+    if not levels.learned[i]:
+        return state
+    return replace(
+        state, levels=levels.with_noise(i, max(levels.channels[i], LIKELIHOOD.input_noise * levels.scales.channels[i]))
+    )

@@ -89,7 +89,8 @@ def start_from(
     layout = replace(layout, late=tuple((i, lags[name]) for i, (name, _) in enumerate(layout.channels) if name in lags))
     series = tuple(_series(layout, rows) for rows in pieces)
     paths = tuple(_path(layout, rows, [one.paths[i] for one in inputs]) for i, rows in enumerate(pieces))
-    series = in_proportion(layout, motion.sensors, series, _readings(layout, pieces))
+    readings = [np.column_stack([rows.columns[name] for name, _ in layout.channels]) for rows in pieces]
+    series = in_proportion(layout, motion.sensors, series, readings)
     targets = _targets(roles, pieces)
     scales = _scales(layout, paths, targets.var(axis=0), series, _interval([one.intervals for one in series]))
     noise = FIRST_NOISE * scales.channels
@@ -318,11 +319,6 @@ def series_and_paths(layout: Layout, pieces: Sequence[MotionRows]) -> tuple[tupl
     """Samples of some rows, and the smoothed motion as their paths."""
     paths = tuple(_path(layout, rows, [rows.columns[name][:, None] for name in layout.roles.inputs]) for rows in pieces)
     return tuple(_series(layout, rows) for rows in pieces), paths
-
-
-def _readings(layout: Layout, pieces: Sequence[MotionRows]) -> list[Floats]:
-    """What the channels measure by the smoothed motion, (n, M) of every record."""
-    return [np.column_stack([rows.columns[name] for name, _ in layout.channels]) for rows in pieces]
 
 
 def _series(layout: Layout, rows: MotionRows) -> Series:

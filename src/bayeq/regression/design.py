@@ -131,20 +131,16 @@ def build_design(
     if allowed is None:
         allowed = np.ones((len(motion.roles.chains), len(terms)), dtype=np.bool_)
     found = Design(motion, tuple(terms), train, held_out, (), tuple(builder.kept), allowed)
-    return usable_terms(found, train, held_out, builder.bad, builder.total)
+    return usable_terms(found, builder.bad, builder.total)
 
 
-def usable_terms(
-    design: Design, train: tuple[Gram, ...], held_out: tuple[Gram, ...], bad: NDArray[np.int64], rows: int
-) -> Design:
+def usable_terms(design: Design, bad: NDArray[np.int64], rows: int) -> Design:
     """A dictionary without the candidates that cannot be used.
 
     Parameters
     ----------
     design : Design
         All candidates.
-    train, held_out : tuple of Gram
-        Their statistics.
     bad : (P,) int array
         Rows in which each is not finite, or too large to square.
     rows : int
@@ -155,7 +151,7 @@ def usable_terms(
     InputError
         No candidate can be used, or one cannot because of the unit of a channel.
     """
-    terms, allowed = design.terms, design.allowed
+    terms, train, allowed = design.terms, design.train, design.allowed
     reasons = _reasons(train[0], bad, rows, allowed)
     size = np.abs(train[0].mean) + train[0].standard_deviation
     out_of_range = (bad > 0) | (size < SMALLEST) | _unwritable(train)
@@ -165,12 +161,12 @@ def usable_terms(
     if not len(kept):
         raise InputError(f"no usable term in the dictionary: {'; '.join(f'{d.name}: {d.reason}' for d in dropped[:5])}")
     if not dropped:
-        return replace(design, train=train, held_out=held_out)
+        return design
     return replace(
         design,
         terms=tuple(terms[j] for j in kept),
         train=tuple(gram.select(kept) for gram in train),
-        held_out=tuple(gram.select(kept) for gram in held_out),
+        held_out=tuple(gram.select(kept) for gram in design.held_out),
         dropped=dropped,
         kept=tuple(np.asfortranarray(columns[:, kept]) for columns in design.kept),
         allowed=allowed[:, kept],
