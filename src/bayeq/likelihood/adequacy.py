@@ -87,13 +87,7 @@ class Adequacy:
 
 
 def adequacy_of(task: Task, fitted: Fitted) -> Adequacy:
-    """Tests of a fit.
-
-    Parameters
-    ----------
-    task, fitted : Task, Fitted
-        What was explained, and how.
-    """
+    """Tests of a fit."""
     state = fitted.state
     if (state.levels.memory > AT_BOUND * state.levels.longest).any():
         # a fit is kept from remembering as long as a slow force may last
@@ -236,11 +230,8 @@ def _length(task: Task, state: State, c: int) -> float:
 def turn_of(pulls: Sequence[Floats]) -> float:
     """Angle that the score of a discrepancy turns through from the least memory to the most.
 
-    Parameters
-    ----------
-    pulls : sequence of (n,) arrays
-        What the likelihood of an equation without discrepancy gains by a force at each sample. The score is the sum
-        over frequencies of its power times the spectrum of the discrepancy.
+    The score is the sum over frequencies of the power of `pulls`, (n,) each, what the likelihood of an equation without
+    discrepancy gains by a force at each sample, times the spectrum of the discrepancy.
     """
     weights, angles = [], []
     for values in pulls:
@@ -259,19 +250,10 @@ def turn_of(pulls: Sequence[Floats]) -> float:
 def octaves_of(
     channel: str, pieces: Sequence[Floats], interval: float, without: Set[tuple[float, float]] = frozenset()
 ) -> list[Octave]:
-    """Tests of the octaves of what should be white noise.
+    """Tests of the octaves of what should be white noise, consecutive samples (n,) of a channel, an interval [s] apart.
 
-    Parameters
-    ----------
-    channel : str
-        Whose it is.
-    pieces : sequence of (n,) arrays
-        Consecutive samples.
-    interval : float
-        Between them [s].
-    without : set of (float, float)
-        Octaves that are left out, as if there were none: in a target those in which the course of an input is not that
-        of low-passed noise.
+    Octaves `without` are left out, as if there were none: in a target those in which the course of an input is not that
+    of low-passed noise.
     """
     power, below = _spectrum(pieces)
     highest, out = 0.5 / interval, []
@@ -332,10 +314,7 @@ def _scores(filtered: Filtered, delta: Floats) -> Floats:
 def excess_of(scores: Sequence[Floats]) -> tuple[float, float]:
     """tr(J)/r of scores whose stated covariance is the identity, and its standard error were they independent.
 
-    Parameters
-    ----------
-    scores : sequence of (n, r) arrays
-        Of uninterrupted pieces.
+    Scores, (n, r) each, are of uninterrupted pieces.
     """
     r, longest = scores[0].shape[1], max(map(len, scores))
     excess, square, lag = sum(float(np.sum(one**2)) for one in scores) / r, 0.0, 0

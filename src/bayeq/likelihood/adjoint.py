@@ -286,21 +286,11 @@ def adjoint(
     curved: bool = False,
     smoothed: bool = False,
 ) -> Adjoint:
-    """The adjoint recursion of a filtered record.
+    """The adjoint recursion of a record that `run_filter` filtered with `keep`.
 
-    Parameters
-    ----------
-    linear, noise, found
-        What was filtered, by `run_filter` with `keep`.
-    delta : (r,) array
-        The coefficients' deviations.
-    V : (r, r) array, optional
-        Their covariance: derivatives are those of the likelihood marginal over them. Without, those by the noise are
-        left out, and 0.
-    curved : bool
-        Whether `at_samples` and `between` are wanted.
-    smoothed : bool
-        Whether `covariance` is.
+    Coefficients deviate by `delta`, (r,), with covariance V, (r, r): derivatives are those of the likelihood marginal
+    over them. Without V those by the noise are left out, and 0. `curved` asks for `at_samples` and `between`,
+    `smoothed` for `covariance`.
     """
     (n, size), r = linear.path.shape, len(delta)
     chains, root = len(linear.discrepancy), np.zeros((r, 0)) if V is None else _root(V)

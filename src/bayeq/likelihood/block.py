@@ -64,14 +64,9 @@ class Block:
 
 
 def block_of(task: Task, state: State, pieces: Sequence[MotionRows]) -> Block:
-    """The likelihood of rows given the coefficients, levels and prior of a fit, about the path that is likeliest there.
+    """The likelihood of smoothed rows given coefficients, levels and prior of a fit, about the likeliest path there.
 
-    Parameters
-    ----------
-    task, state : Task, State
-        What other rows of the same system were explained by.
-    pieces : sequence of MotionRows
-        Rows, smoothed.
+    The fit is to other rows of the same system.
     """
     power, segments = _power(task, pieces)
     size, r = len(task.precision), len(state.theta)
@@ -241,14 +236,7 @@ class Relearned(NamedTuple):
 def relearned(task: Task, state: State, block: Block, curve: Curvature) -> Relearned:
     """Corners from the spectra of all rows; levels by a Newton step on their likelihood, coefficients solved along.
 
-    Parameters
-    ----------
-    task, state : Task, State
-        What the block is about.
-    block : Block
-        All rows.
-    curve : Curvature
-        Of the rows that were fitted.
+    The block is of all rows, about the task's fit; the curvature of those that were fitted.
     """
     layout, levels, theta = task.layout, state.levels, coefficients(task.layout, state)
     spectra = [of_segments(power, block.segments, SEGMENT) for power in block.power]

@@ -104,20 +104,10 @@ def blur_of(
     theta: Floats,
     substeps: NDArray[np.int64],
 ) -> Blur:
-    """Widths along a path.
+    """Widths along smoothed states, a path (n, S) with covariance (n, S, S), of the model `chosen`, `theta`.
 
-    Parameters
-    ----------
-    layout, series
-        States and samples.
-    path, covariance : (n, S) and (n, S, S) arrays
-        Smoothed states.
-    push : (n - 1, S, C) array
-        What a constant force of 1 in each equation changes the states by in a step.
-    chosen, theta : Candidates, (r,) array
-        The model.
-    substeps : (n - 1,) int array
-        Steps of the integration in each interval.
+    `push`, (n - 1, S, C), is what a constant force of 1 in each equation changes the states by in a step; `substeps`,
+    (n - 1,), are the steps of the integration in each interval.
     """
     n, columns = len(path), _columns(layout, series, path)
     if layout.implicit:

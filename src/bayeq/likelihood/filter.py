@@ -264,13 +264,8 @@ def _forward(
 def run_filter(linear: Linear, chosen: Candidates, noise: Noise, keep: bool = True) -> Filtered:
     """Filter a record with the columns of the chosen candidates beside the data.
 
-    Parameters
-    ----------
-    linear, chosen, noise
-        The model.
-    keep : bool
-        Whether what `adjoint` needs is wanted; without, there are no rows but in the sums, and memory does not grow
-        with the record.
+    `keep` asks for what `adjoint` needs; without, there are no rows but in the sums, and memory does not grow with the
+    record.
     """
     (n, size), channels, r = linear.path.shape, len(linear.kinds), len(chosen.chain)
     rows = n if keep else 0

@@ -36,24 +36,10 @@ def with_first_laws(
 ) -> tuple[Motion, tuple[Expression, ...]]:
     """The motion with hidden states, and the terms with the constants of their laws.
 
-    Of values on a grid those are taken whose hidden states let the candidates of the other equations, together,
-    explain most of the smoothed rows.
-
-    Parameters
-    ----------
-    motion : Motion
-        Without the hidden states.
-    roles : Roles
-        With them.
-    terms : sequence of Expression
-        The P candidates of all equations, the laws among them.
-    allowed : (C, P) bool array
-        Which of them each equation may have.
-
-    Raises
-    ------
-    InputError
-        A constant whose range has to be written; laws that are finite for no values of their constants.
+    Of values on a grid those are taken whose hidden states let the candidates of the other equations, together, explain
+    most of the smoothed rows. The motion is without the hidden states, the roles are with them, the P terms with their
+    laws; `allowed`, (C, P), says which of these each equation may have. An InputError refuses a constant whose range
+    has to be written, and laws that are finite for no values of their constants.
     """
     constants = _ranges(roles, motion)
     places = [np.linspace(to_scale(one, one.low), to_scale(one, one.high), _nodes(len(constants))) for one in constants]
@@ -86,10 +72,7 @@ def with_first_laws(
 def seen_in(chain: Chain, roles: Roles, terms: Sequence[Expression], allowed: Bools) -> tuple[int, int]:
     """The first measured equation that has a hidden state by itself as a candidate, and that: they set its scale.
 
-    Raises
-    ------
-    InputError
-        There is none.
+    An InputError says that there is none.
     """
     name = chain.names[0]
     for j, term in enumerate(terms):

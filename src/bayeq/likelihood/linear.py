@@ -65,22 +65,10 @@ def linearise(
     blur: Blur | None = None,
     substeps: int = 1,
 ) -> Linear:
-    """The model of a record about a path and the coefficients `theta` of the chosen candidates.
+    """The model of a record about a path, (n, S), and the coefficients `theta`, (r,), of the chosen candidates.
 
-    Parameters
-    ----------
-    layout : Layout
-        States and channels.
-    series : Series
-        The record.
-    path : (n, S) array
-        States.
-    chosen, theta : Candidates, (r,) array
-        Coefficients that are not zero.
-    blur : Blur, optional
-        Widths of the jumps; by default those between samples.
-    substeps : int
-        Runge-Kutta steps between two samples; more, `jump_steps`, where a term of the model jumps.
+    The widths of jumps, `blur`, are by default those between samples. `substeps` are Runge-Kutta steps between two
+    samples; more, `jump_steps`, where a term of the model jumps.
     """
     n, size, chains = len(path), layout.size, layout.chains
     blur = first_blur(layout, series, path, substeps) if blur is None else blur

@@ -212,16 +212,9 @@ def of_motion(task: Task, fitted: Fitted) -> float:
 
 
 def fit(task: Task, state: State, coarse: bool = False, calm: int = 0) -> Fitted:
-    """Fit a model by Gauss-Newton steps; before each the levels are learned.
+    """Fit a model by Gauss-Newton steps from a state; before each the levels are learned.
 
-    Parameters
-    ----------
-    task, state : Task, State
-        What is to be explained, and where the steps start.
-    coarse : bool
-        Few steps only.
-    calm : int
-        Number of first steps in which discrepancies keep their size.
+    A `coarse` fit has few steps. In the first `calm` ones discrepancies keep their size.
     """
     layout, precision = task.layout, task.precision_of(state)
     before, length, last, halved = -np.inf, np.inf, None, 0

@@ -53,16 +53,9 @@ def leftover(
 ) -> Leftover:
     """Sums over batches, which do not cross records.
 
-    Parameters
-    ----------
-    columns : sequence of (n, r) arrays
-        Terms along the smoothed path of each record, the constant among them if it is in the equation.
-    discrepancies : sequence of (n,) arrays
-        Smoothed.
-    intervals : sequence of (n - 1,) arrays
-        Between samples [s]: a sample counts by the time around it.
-    target : float
-        Variance of the target.
+    Columns, (n, r) each, are the terms along the smoothed path of each record, the constant among them if it is in the
+    equation; discrepancies, (n,) each, are smoothed. A sample counts by the time around it, from the intervals [s].
+    `target` is the variance of the target.
     """
     weights = [time_around(one) for one in intervals]
     whole = sum((w[:, None] * D).T @ D for w, D in zip(weights, columns, strict=True))
@@ -96,15 +89,7 @@ def batched(columns: Floats, discrepancies: Floats, weights: Floats, count: int)
 
 
 def projected(left: Leftover, basis: Floats) -> Projected:
-    """The projection on coefficients that move with some free ones.
-
-    Parameters
-    ----------
-    left : Leftover
-        Sums.
-    basis : (r, f) array
-        How the coefficients move with those that are free; the identity where all are.
-    """
+    """The projection on coefficients that move with some free ones as `basis`, (r, f), says."""
     A = basis.T @ left.products.sum(axis=0) @ basis
     pull = basis.T @ left.pulls.sum(axis=0)
     r, batches = len(basis), len(left.pulls)

@@ -93,14 +93,7 @@ class RecordFit:
     def of_more(self, task: Task, state: State, quadratic: Quadratic, block: Block) -> RecordFit:
         """What the likelihood of more rows, about a fit to some of them, tells.
 
-        Parameters
-        ----------
-        task, state : Task, State
-            The fit, with levels of all rows.
-        quadratic : Quadratic
-            The likelihood of all of them there.
-        block : Block
-            Of all of them.
+        The state has levels of all rows; the quadratic is their likelihood there, and the block is of all of them.
         """
         task = replace(task, series=self.task.series, counted=block.samples)
         state = replace(state, paths=self.fitted.state.paths)
@@ -493,21 +486,8 @@ def refit_record(
     """Fit all rows of some motion, starting from what was found on the first rows of each record.
 
     Where that leaves more of a discrepancy, by more than two standard errors, the search begins once more without it,
-    and the likelier answer is taken.
-
-    Parameters
-    ----------
-    motion : Motion
-        With all rows for training.
-    former : RecordFit
-        Of the same records with rows held out.
-    terms, grams
-        As for `fit_record`, of all rows.
-
-    Returns
-    -------
-    RecordFit or None
-        None where the likelihood cannot be evaluated.
+    and the likelier answer is taken. Terms and Grams are those of `fit_record`, of all rows. None where the likelihood
+    cannot be evaluated.
     """
     try:
         with np.errstate(all="ignore"):

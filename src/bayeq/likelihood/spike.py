@@ -86,19 +86,10 @@ def root_of(A: Floats) -> Floats:
 
 
 def softened(q: Quadratic, root: Floats, spread: Floats) -> Quadratic:
-    """The likelihood about some coefficients with deviations N(0, S S') integrated out.
+    """The likelihood about p coefficients with deviations N(0, S S') integrated out, S = `spread`, (p, K).
 
     With F'S = U diag(s) V' the information is F (I - U U') F' + F U diag(1/(1 + s^2)) U' F': the difference
-    A - A S (I + S'A S)^-1 S'A, which it equals, is lost in rounding where the noise is little.
-
-    Parameters
-    ----------
-    q : Quadratic
-        Of p coefficients.
-    root : (p, r) array
-        F, the root of its information.
-    spread : (p, K) array
-        S.
+    A - A S (I + S'A S)^-1 S'A, which it equals, is lost in rounding where the noise is little; F, (p, r), is its root.
     """
     U, s, _ = np.linalg.svd(root.T @ spread, full_matrices=False)
     left, inside = 1.0 / (1.0 + s**2), root @ U
@@ -115,16 +106,8 @@ def softened(q: Quadratic, root: Floats, spread: Floats) -> Quadratic:
 def isotropic(columns: Floats, moved: Sequence[Floats], deviation: float) -> Floats:
     """R, (p, K), of functions of columns in units of coefficients' priors: of root mean square `deviation`, all alike.
 
-    A function that changes more where the states are uncertain than along the path cannot be told from their noise.
-
-    Parameters
-    ----------
-    columns : (n, p) array
-        Along the path.
-    moved : sequence of (n, p) arrays
-        What they change by where the states are uncertain.
-    deviation : float
-        Standard deviation of the target.
+    Columns, (n, p), are along the path, `moved` what they change by where the states are uncertain: a function that
+    changes more there than along the path cannot be told from their noise. `deviation` is the target's.
     """
     unit = np.sqrt(len(columns)) * deviation
     _, size, axes = np.linalg.svd(np.linalg.qr(np.vstack([columns, *moved]), mode="r") / unit, full_matrices=False)

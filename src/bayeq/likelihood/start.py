@@ -59,27 +59,8 @@ def start_from(
 ) -> tuple[Task, tuple[State, ...]]:
     """What is to be explained by a dictionary in the training rows of some motion, and where fits start.
 
-    Parameters
-    ----------
-    motion : Motion
-        With time.
-    terms : sequence of Expression
-        The P candidates.
-    grams : sequence of Gram
-        Of the smoothed rows, one per equation.
-    log_odds : (C, P + 1) array
-        Of each candidate, and of the constant, not being zero.
-    tolerance : float or None
-        See `bayeq.discover`.
-    stated : tuple of Stated
-        What is known of coefficients before.
-    conserved : mapping of int to float, optional
-        As for `bayeq.likelihood.record_fit.fit_record`.
-
-    Returns
-    -------
-    Task, (State, State)
-        The states are the regression of the smoothed rows, and the motion without any term.
+    Arguments are as for `bayeq.likelihood.record_fit.fit_record`. The states are the regression of the smoothed rows,
+    and the motion without any term.
     """
     roles, pieces = motion.roles, motion.train
     known = _known_noise(motion)
@@ -160,19 +141,8 @@ def _set_known(noise: Floats, layout: Layout, scales: Scales, known: Mapping[str
 def start_of_runs(motion: Motion, terms: Sequence[Expression], course: Course) -> tuple[Task, State]:
     """Where free runs of equations start: inputs are exact and of one course, and there is hardly a discrepancy.
 
-    Parameters
-    ----------
-    motion : Motion
-        With time; of its training rows.
-    terms : sequence of Expression
-        Those of all equations.
-    course : str
-        Of the inputs between samples.
-
-    Returns
-    -------
-    Task, State
-        The state is that of the smoothed motion, without any term.
+    The terms are those of all equations; the state is that of the smoothed motion in its training rows, without any
+    term.
     """
     roles, count = motion.roles, len(motion.roles.inputs)
     bare = Layout(
@@ -297,16 +267,9 @@ def _with_others(motion: Motion, task: Task, state: State, inputs: Sequence[_Inp
 
 
 def carried_over(motion: Motion, task: Task, fitted: Fitted, places: Sequence[tuple[int, int]]) -> tuple[Task, State]:
-    """The task on more rows, and a fit of some of them as its start.
+    """The task on the training rows of some motion, and a fit of some of them as its start.
 
-    Parameters
-    ----------
-    motion : Motion
-        The records whose training rows are to be explained.
-    task, fitted : Task, Fitted
-        What explains some of them.
-    places : sequence of (int, int)
-        The record that each path of the fit belongs to, and its first row there.
+    Places are the record that each path of the fit belongs to, and its first row there.
     """
     series, paths = series_and_paths(task.layout, motion.train)
     for path, (record, first) in zip(fitted.state.paths, places, strict=True):

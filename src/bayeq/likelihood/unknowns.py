@@ -79,10 +79,7 @@ STEP = 1e-4
 def first_values(terms: Sequence[Expression], motion: Motion, allowed: Bools) -> tuple[Expression, ...]:
     """Terms with values of their constants that explain most of the smoothed rows beside the other terms.
 
-    Raises
-    ------
-    InputError
-        A range that has to be written.
+    An InputError says that a range has to be written.
     """
     found = tuple(terms)
     if not any(term.unknowns for term in terms):
@@ -113,17 +110,8 @@ def first_members(motion: Motion, terms: Sequence[Expression], log_odds: Floats)
 def with_constants(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fitted, Forms]:
     """A fit with its constants where they are likeliest, and the likeliest members of its choices.
 
-    Parameters
-    ----------
-    motion : Motion
-        Whose training rows are fitted.
-    task, fitted : Task, Fitted
-        With some values of the constants.
-
-    Returns
-    -------
-    (Task, Fitted, Forms)
-        The task with terms of these values, and odds that know how wide their ranges are.
+    The task then has terms of these values, and odds that know how wide their ranges are; the forms are the log
+    posteriors of the members.
     """
     terms = task.layout.terms
     choices = _choices(terms)

@@ -109,21 +109,8 @@ def build_design(
 ) -> Design:
     """Evaluate terms on motion and add up their Gram matrices.
 
-    Parameters
-    ----------
-    terms : sequence of Expression
-        Candidates.
-    motion : Motion
-        With the states and inputs that terms are made of.
-    progress : callable, optional
-        Called with (rows done, rows in all).
-    allowed : (C, P) bool array, optional
-        Candidates of each equation; by default all.
-
-    Raises
-    ------
-    InputError
-        No candidate can be used, or one cannot because of the unit of a channel.
+    `progress` is called with (rows done, rows in all); `allowed`, (C, P), are the candidates of each equation, by
+    default all. An InputError says that no candidate can be used, or that one cannot because of the unit of a channel.
     """
     builder = _Builder(terms, motion, progress)
     train = builder.grams(motion.train, keep=sum(rows.n for rows in motion.train) * len(terms) <= MOST_KEPT)
@@ -137,19 +124,8 @@ def build_design(
 def usable_terms(design: Design, bad: NDArray[np.int64], rows: int) -> Design:
     """A dictionary without the candidates that cannot be used.
 
-    Parameters
-    ----------
-    design : Design
-        All candidates.
-    bad : (P,) int array
-        Rows in which each is not finite, or too large to square.
-    rows : int
-        Rows in all.
-
-    Raises
-    ------
-    InputError
-        No candidate can be used, or one cannot because of the unit of a channel.
+    `bad`, (P,), is the number of rows, of some in all, in which each is not finite, or too large to square. An
+    InputError says that no candidate can be used, or that one cannot because of the unit of a channel.
     """
     terms, train, allowed = design.terms, design.train, design.allowed
     reasons = _reasons(train[0], bad, rows, allowed)
@@ -253,25 +229,10 @@ def _reasons(gram: Gram, bad: NDArray[np.int64], rows: int, allowed: Bools) -> d
 
 
 def screened(terms: Sequence[Expression], motion: Motion, allowed: Bools, forced: Bools, most: int) -> NDArray[np.intp]:
-    """Candidates to keep.
+    """Numbers (K,) of the candidates to keep, in order.
 
-    Parameters
-    ----------
-    terms : sequence of Expression
-        The P candidates.
-    motion : Motion
-        States, targets and inputs.
-    allowed : (C, P) bool array
-        Candidates of each equation.
-    forced : (P,) bool array
-        Candidates that are kept whatever they explain.
-    most : int
-        How many to keep; each equation has an equal share.
-
-    Returns
-    -------
-    (K,) int array
-        Their numbers, in order.
+    Candidates of each equation are `allowed`, (C, P); those that are `forced`, (P,), are kept whatever they explain. Of
+    `most` to keep each equation has an equal share.
     """
     D, Y = _rows(terms, motion)
     kept = forced.copy()
@@ -285,20 +246,9 @@ def screened(terms: Sequence[Expression], motion: Motion, allowed: Bools, forced
 
 
 def explaining(D: Floats, y: Floats, free: Bools, basis: Floats, share: int) -> NDArray[np.intp]:
-    """The columns that explain most of what a basis leaves of y, taken in rounds.
+    """Numbers of the columns that explain most of what a basis leaves of y, taken in rounds.
 
-    Parameters
-    ----------
-    D : (n, P) array
-        Columns of length 1, or 0.
-    y : (n,) array
-        The target.
-    free : (P,) bool array
-        Columns to choose from.
-    basis : (n, q) array
-        Orthonormal columns.
-    share : int
-        How many.
+    `share` of the `free` columns of D, (n, P), each of length 1 or 0, are taken; the basis, (n, q), is orthonormal.
     """
     taken = np.zeros(0, dtype=np.intp)
     free, added, left = free.copy(), basis, y

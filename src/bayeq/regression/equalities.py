@@ -71,13 +71,7 @@ class Equalities:
     offsets: Floats  # (E,), q
 
     def basis(self, support: Bools) -> Floats:
-        """How the r coefficients of some terms move with the free ones among them, (r, f).
-
-        Parameters
-        ----------
-        support : (P,) bool array
-            The terms.
-        """
+        """How the r coefficients of some terms, `support` (P,), move with the free ones among them, (r, f)."""
         return self._jacobian(support, support[self.kept])
 
     def offset(self, support: Bools) -> Floats:
@@ -94,10 +88,7 @@ class Equalities:
     def solving(cls, names: Sequence[str], equations: Sequence[tuple[Linear, str]]) -> Equalities:
         """Solve equations (a combination that is zero, and where it was stated), each for its first term if it can be.
 
-        Raises
-        ------
-        InputError
-            Equations that contradict each other, or that leave no term to find.
+        An InputError refuses equations that contradict each other, or that leave no term to find.
         """
         solved: dict[int, Linear] = {}
         for equation, where in equations:
@@ -155,17 +146,10 @@ class Equalities:
         )
 
     def expand(self, posterior: Posterior, gram: Gram) -> Posterior:
-        """The posterior of all P coefficients.
+        """The posterior of all P coefficients from that of the reduced regression; `gram` is the one before `reduce`.
 
         An eliminated term is in where a constant or one of the terms that it follows from is: so are its PIP (from the
         models averaged over or the draws; without them the largest PIP of those terms) and its place in the support.
-
-        Parameters
-        ----------
-        posterior : Posterior
-            Of the reduced regression, in original units.
-        gram : Gram
-            Before `reduce`.
         """
         if not len(self.eliminated):
             return posterior

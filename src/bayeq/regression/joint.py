@@ -76,10 +76,7 @@ def record_of(
 def lags_of_design(design: Design, dictionary: Specification, prior: Prior | None) -> tuple[Mapping[str, Lag], float]:
     """Lags of channels, see `bayeq.likelihood.record_fit.learned_lags`.
 
-    Raises
-    ------
-    InputError
-        The likelihood cannot be evaluated.
+    An InputError says that the likelihood cannot be evaluated.
     """
     try:
         return learned_lags(design.motion, design.terms, _log_odds(design, dictionary, prior), design.train)
@@ -131,14 +128,8 @@ def fit_equations(
 ) -> list[RegressionFit]:
     """The posterior of every equation: of all together where the method and what is known allow it.
 
-    Parameters
-    ----------
-    regressions, constraints : sequences
-        One per equation.
-    method : str
-        A row of `bayeq.inference.engines.ENGINES`.
-    prior, coarsen, tolerance, seed
-        As for `bayeq.regression.fit.fit_regression`.
+    There is one regression, and one of the constraints, per equation. The method is a row of
+    `bayeq.inference.engines.ENGINES`; what follows is as for `bayeq.regression.fit.fit_regression`.
     """
     record = regressions[0].record if isinstance(regressions[0], RecordRegression) else None
     free = prior is None and coarsen == 1.0 and not any(one.binding for one in constraints)

@@ -109,18 +109,10 @@ class Regression:
         return not shows_noise([rows.columns[name] for rows in self.motion.train])
 
     def reported(self, found: Posterior, basis: Floats, limits: Floats | None, free: bool) -> Posterior:
-        """A posterior in original units as it is reported.
+        """A posterior in original units, of all P terms with r in its support, as it is reported.
 
-        Parameters
-        ----------
-        found : Posterior
-            Of all P terms, r in its support.
-        basis : (r, f) array
-            How coefficients move with those that are free.
-        limits : (P, 2) array or None
-            Least and largest coefficients.
-        free : bool
-            Whether no limit changes the posterior.
+        Coefficients move with those that are free as `basis`, (r, f), says; limits, (P, 2), are the least and largest,
+        and `free` says that none of them changes the posterior.
         """
         return found
 

@@ -260,20 +260,8 @@ def likeliest_instead(
 
     Collinear terms share their probability, so that none of several forms of damping may reach 0.5, however sure it is
     that there is damping. The average has it. So where the predictions or free runs of the included terms are further
-    from its than the tolerance, and those of the likeliest model less so, that is the one to show.
-
-    Parameters
-    ----------
-    fit : RegressionFit
-        Of equation k.
-    k : int
-        Its number.
-    found : sequence of Posterior
-        Of every equation given its included terms.
-    runs : FreeRuns or None
-        Of the system; None without time.
-    tolerance : float
-        How far from the average they may be.
+    from its than the tolerance, and those of the likeliest model less so, that is the one to show. `found` are the
+    posteriors of every equation given its included terms; `runs` are None without time.
     """
     included = found[k]
     if included.average is None or included.averaged_coef is None or not len(included.average.models):
