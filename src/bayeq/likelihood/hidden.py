@@ -42,7 +42,8 @@ def with_first_laws(
     has to be written, and laws that are finite for no values of their constants.
     """
     constants = _ranges(roles, motion)
-    places = [np.linspace(to_scale(one, one.low), to_scale(one, one.high), _nodes(len(constants))) for one in constants]
+    nodes = min(NODES, max(3, int(GRID ** (1.0 / max(len(constants), 1)))))
+    places = [np.linspace(to_scale(one, one.low), to_scale(one, one.high), nodes) for one in constants]
 
     def tried(at: Sequence[float]) -> tuple[float, Motion | None, dict[str, Unknown]]:
         values = {one.name: replace(one, value=to_plain(one, x)) for one, x in zip(constants, at, strict=True)}
@@ -176,15 +177,9 @@ def with_laws_of(motion: Motion, terms: Sequence[Expression], state: State) -> M
 
 def at_values(roles: Roles, values: Mapping[str, Unknown]) -> Roles:
     """The roles with values of the constants of their laws."""
-    return roles.with_chains([_at(chain, values) for chain in roles.chains])
-
-
-def _at(chain: Chain, values: Mapping[str, Unknown]) -> Chain:
-    return chain if chain.law is None else chain.with_law(chain.law.with_unknowns(values))
-
-
-def _nodes(constants: int) -> int:
-    return min(NODES, max(3, int(GRID ** (1.0 / constants)))) if constants else NODES
+    return roles.with_chains(
+        [one if one.law is None else one.with_law(one.law.with_unknowns(values)) for one in roles.chains]
+    )
 
 
 def _explained(motion: Motion, terms: Sequence[Expression], allowed: Bools) -> float:
