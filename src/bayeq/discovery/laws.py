@@ -29,10 +29,7 @@ def dictionaries_of(
 ) -> tuple[tuple[Expression, ...], Bools]:
     """The candidates of all equations that are not stated, as `bayeq.dictionary.build_dictionaries`.
 
-    Raises
-    ------
-    ChainError
-        A hidden state without a law has no dictionary.
+    A ChainError says that a hidden state without a law has no dictionary.
     """
     targets = roles.sought
     found = roles.hidden[: len(targets) - len(roles.seen.chains)]
@@ -62,19 +59,8 @@ def with_law_terms(
 ) -> tuple[tuple[Expression, ...], Bools, Roles]:
     """Candidates of all equations with the laws of hidden states among them, and the roles with the same constants.
 
-    Parameters
-    ----------
-    terms : sequence of Expression
-        Of the equations of measured states.
-    allowed : (C, P) bool array
-        Which of them each may have.
-    roles : Roles
-        With hidden states.
-
-    Raises
-    ------
-    InputError
-        No term uses a hidden state; a law with too many constants, or two ranges of one.
+    Terms are those of the equations of measured states, `allowed`, (C, P), which of them each may have. An InputError
+    says that no term uses a hidden state, and refuses a law with too many constants, or two ranges of one.
     """
     laws = [chain.law for chain in roles.hidden if chain.law is not None]
     if not laws:
@@ -119,14 +105,7 @@ def hidden_states(
 ) -> tuple[HiddenState, ...]:
     """The hidden states of a design, with log odds of the equations without them.
 
-    Parameters
-    ----------
-    design : Design
-        With hidden states.
-    record : RecordFit or None
-        Its likelihood; None where that cannot be evaluated.
-    likelihood : callable
-        Gives that of a design.
+    The record is the likelihood of the design, None where it cannot be evaluated; `likelihood` gives that of another.
     """
     motion = design.motion
     if not motion.roles.hidden:
@@ -152,19 +131,8 @@ def with_differences(
 ) -> tuple[list[Record], tuple[str, ...], tuple[Expression, ...], Bools]:
     """Records with the inputs that number them, the names of these, and the candidates with the differences.
 
-    Parameters
-    ----------
-    differs : str or sequence of str
-        Terms whose coefficients may differ, or "all".
-    records : sequence of Record
-        Of the same system.
-    terms, allowed : sequence of Expression, (C, P) bool array
-        Candidates, and which of them each equation may have.
-
-    Raises
-    ------
-    InputError
-        One record only, or very many; a term that is no candidate; a channel with the name of a record's number.
+    Terms whose coefficients may differ are named, or are "all" of the candidates. An InputError refuses one record
+    only, or very many; a term that is no candidate; a channel with the name of a record's number.
     """
     if not 1 < len(records) <= MOST_RECORDS:
         raise InputError(

@@ -61,7 +61,7 @@ class Rows:
 
     def stack(self, names: Sequence[str]) -> Floats:
         """Columns side by side, (n, k)."""
-        return side_by_side(self.columns, names, self.n)
+        return np.column_stack([self.columns[name] for name in names]) if names else np.empty((self.n, 0))
 
 
 def rows_of(motion: Motion, purpose: str, interpolation: Courses | None = None) -> list[Rows]:
@@ -93,11 +93,6 @@ def between(roles: Roles, time: Floats, columns: Mapping[str, Floats], kind: Cou
     each = [interpolant(time, columns[name][:, None], one) for name, one in kinds.items()]
     inputs = np.concatenate([np.empty((len(time), 0, 4)), *each], axis=1)
     return with_time(time, inputs) if roles.timed else inputs
-
-
-def side_by_side(columns: Mapping[str, Floats], names: Sequence[str], n: int) -> Floats:
-    """Some of the columns, (n, k), also for none."""
-    return np.column_stack([columns[name] for name in names]) if names else np.empty((n, 0))
 
 
 def require_time(record: Record, purpose: str) -> Floats:

@@ -38,68 +38,33 @@ LEAST_BINS = 8
 
 
 class Discrepancy(NamedTuple):
-    """The discrepancy of an equation: the force that its terms do not explain.
+    """The discrepancy of an equation: the force that its terms do not explain."""
 
-    Attributes
-    ----------
-    size : float
-        Standard deviation of the discrepancy as a share of the target's.
-    low, high : float
-        Ends of its 95 % interval.
-    p : float
-        Probability by chance of a likelihood that is greater than without by as much, see `chance_of`.
-    octave : (float, float)
-        Between these frequencies [Hz] lies most of its power.
-    """
-
-    size: float
-    low: float
+    size: float  # standard deviation of the discrepancy as a share of the target's
+    low: float  # ends of its 95 % interval
     high: float
-    p: float
-    octave: tuple[float, float]
+    p: float  # probability by chance of a likelihood that is greater than without by as much, see `chance_of`
+    octave: tuple[float, float]  # between these frequencies [Hz] lies most of its power
 
 
 class Octave(NamedTuple):
-    """Power of the innovations of a channel in an octave.
-
-    Attributes
-    ----------
-    channel : str
-    low, high : float
-        Of the octave [Hz].
-    ratio : float
-        The power over that of white noise.
-    p : float
-        Probability by chance of a share so far from its median.
-    share : float
-        Of all frequencies.
-    """
+    """Power of the innovations of a channel in an octave."""
 
     channel: str
-    low: float
+    low: float  # [Hz]
     high: float
-    ratio: float
-    p: float
-    share: float
+    ratio: float  # the power over that of white noise
+    p: float  # probability by chance of a share so far from its median
+    share: float  # of all frequencies
 
 
 @dataclass(frozen=True)
 class Adequacy:
-    """Tests of a fit.
+    """Tests of a fit."""
 
-    Attributes
-    ----------
-    discrepancies : tuple of Discrepancy
-        One per equation.
-    octaves : tuple of Octave
-        Of the channels of all chains.
-    shapes : mapping of str to Shape
-        Of the standardised innovations of these channels.
-    """
-
-    discrepancies: tuple[Discrepancy, ...]
-    octaves: tuple[Octave, ...]
-    shapes: Mapping[str, Shape] = field(default_factory=dict)
+    discrepancies: tuple[Discrepancy, ...]  # one per equation
+    octaves: tuple[Octave, ...]  # of the channels of all chains
+    shapes: Mapping[str, Shape] = field(default_factory=dict)  # of the standardised innovations of these channels
 
     @property
     def limit(self) -> float:
@@ -122,13 +87,7 @@ class Adequacy:
 
 
 def adequacy_of(task: Task, fitted: Fitted) -> Adequacy:
-    """Tests of a fit.
-
-    Parameters
-    ----------
-    task, fitted : Task, Fitted
-        What was explained, and how.
-    """
+    """Tests of a fit."""
     state = fitted.state
     if (state.levels.memory > AT_BOUND * state.levels.longest).any():
         # a fit is kept from remembering as long as a slow force may last
@@ -271,11 +230,8 @@ def _length(task: Task, state: State, c: int) -> float:
 def turn_of(pulls: Sequence[Floats]) -> float:
     """Angle that the score of a discrepancy turns through from the least memory to the most.
 
-    Parameters
-    ----------
-    pulls : sequence of (n,) arrays
-        What the likelihood of an equation without discrepancy gains by a force at each sample. The score is the sum
-        over frequencies of its power times the spectrum of the discrepancy.
+    The score is the sum over frequencies of the power of `pulls`, (n,) each, what the likelihood of an equation without
+    discrepancy gains by a force at each sample, times the spectrum of the discrepancy.
     """
     weights, angles = [], []
     for values in pulls:
@@ -294,19 +250,10 @@ def turn_of(pulls: Sequence[Floats]) -> float:
 def octaves_of(
     channel: str, pieces: Sequence[Floats], interval: float, without: Set[tuple[float, float]] = frozenset()
 ) -> list[Octave]:
-    """Tests of the octaves of what should be white noise.
+    """Tests of the octaves of what should be white noise, consecutive samples (n,) of a channel, an interval [s] apart.
 
-    Parameters
-    ----------
-    channel : str
-        Whose it is.
-    pieces : sequence of (n,) arrays
-        Consecutive samples.
-    interval : float
-        Between them [s].
-    without : set of (float, float)
-        Octaves that are left out, as if there were none: in a target those in which the course of an input is not that
-        of low-passed noise.
+    Octaves `without` are left out, as if there were none: in a target those in which the course of an input is not that
+    of low-passed noise.
     """
     power, below = _spectrum(pieces)
     highest, out = 0.5 / interval, []
@@ -367,10 +314,7 @@ def _scores(filtered: Filtered, delta: Floats) -> Floats:
 def excess_of(scores: Sequence[Floats]) -> tuple[float, float]:
     """tr(J)/r of scores whose stated covariance is the identity, and its standard error were they independent.
 
-    Parameters
-    ----------
-    scores : sequence of (n, r) arrays
-        Of uninterrupted pieces.
+    Scores, (n, r) each, are of uninterrupted pieces.
     """
     r, longest = scores[0].shape[1], max(map(len, scores))
     excess, square, lag = sum(float(np.sum(one**2)) for one in scores) / r, 0.0, 0

@@ -17,33 +17,19 @@ from bayeq.likelihood.linear import Linear
 
 
 class Adjoint(NamedTuple):
-    """Derivatives of the log likelihood, and the smoothed path.
+    """Derivatives of the log likelihood, and the smoothed path."""
 
-    Attributes
-    ----------
-    channels : (M,) array
-        By the variances R.
-    courses : (L,) array
-        By those of the courses.
-    memory, steps, start : (S,) arrays
-        By the entries of `Noise`; the first for states that stay what they are between samples, and 0 for those that
-        have neither memory nor steps.
-    deviation : (n, S) array
-        Smoothed path less that of the linearisation.
-    covariance : (n, S, S) array
-        Of the smoothed path, given the coefficients; empty where not asked for.
-    at_samples, between : (n, C, S) and (n - 1, C, S) arrays
-        Directions along which the derivatives of the candidates at the samples, and between them, give what the
-        coefficients change in the determinant of the likelihood; empty where not asked for.
-    """
-
-    channels: Floats
-    courses: Floats
+    channels: Floats  # (M,), by the variances R
+    courses: Floats  # (L,), by those of the courses
+    # by the entries of `Noise`, (S,): that by the memory for states that stay what they are between samples, and 0 for
+    # those that have neither memory nor steps
     memory: Floats
     steps: Floats
     start: Floats
-    deviation: Floats
-    covariance: Floats
+    deviation: Floats  # (n, S), smoothed path less that of the linearisation
+    covariance: Floats  # (n, S, S), of the smoothed path, given the coefficients; empty where not asked for
+    # (n, C, S) and (n - 1, C, S), directions along which the derivatives of the candidates at the samples, and between
+    # them, give what the coefficients change in the determinant of the likelihood; empty where not asked for
     at_samples: Floats
     between: Floats
 
@@ -52,27 +38,16 @@ class _Returning(NamedTuple):
     """Where the adjoint recursion stands, and its work space.
 
     The coefficients' columns are in units of their uncertainty: derivatives by uncorrelated numbers of variance 1.
-
-    Attributes
-    ----------
-    work, step : (2, S, W) and (S, S) arrays
-        As in `_Running`: adjoints of the data, at the coefficients' mean, and of each coefficient; their information N.
-    lines : (4, W) array
-        Work space of a sample.
-    innovation : (rows, M, 1 + r) array
-        At the coefficients' mean, and its derivatives.
-    lasting : (s,) int array
-        States that change at samples.
-    mean : (rows, s, r) array
-        Derivatives of their filtered means.
     """
 
+    # (2, S, W), as in `_Running`: adjoints of the data, at the coefficients' mean, and of each coefficient; their
+    # information N
     work: Floats
-    step: Floats
-    lines: Floats
-    innovation: Floats
-    lasting: Ints
-    mean: Floats
+    step: Floats  # (S, S), as in `_Running`
+    lines: Floats  # (4, W), work space of a sample
+    innovation: Floats  # (rows, M, 1 + r), at the coefficients' mean, and its derivatives
+    lasting: Ints  # (s,), states that change at samples
+    mean: Floats  # (rows, s, r), derivatives of their filtered means
 
     @classmethod
     def at_end(cls, noise: Noise, r: int, scored: bool) -> _Returning:
@@ -311,21 +286,11 @@ def adjoint(
     curved: bool = False,
     smoothed: bool = False,
 ) -> Adjoint:
-    """The adjoint recursion of a filtered record.
+    """The adjoint recursion of a record that `run_filter` filtered with `keep`.
 
-    Parameters
-    ----------
-    linear, noise, found
-        What was filtered, by `run_filter` with `keep`.
-    delta : (r,) array
-        The coefficients' deviations.
-    V : (r, r) array, optional
-        Their covariance: derivatives are those of the likelihood marginal over them. Without, those by the noise are
-        left out, and 0.
-    curved : bool
-        Whether `at_samples` and `between` are wanted.
-    smoothed : bool
-        Whether `covariance` is.
+    Coefficients deviate by `delta`, (r,), with covariance V, (r, r): derivatives are those of the likelihood marginal
+    over them. Without V those by the noise are left out, and 0. `curved` asks for `at_samples` and `between`,
+    `smoothed` for `covariance`.
     """
     (n, size), r = linear.path.shape, len(delta)
     chains, root = len(linear.discrepancy), np.zeros((r, 0)) if V is None else _root(V)

@@ -41,41 +41,20 @@ LONGEST, OF_DISCREPANCIES = 1.0, 0.5
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """The likelihood of some rows, and sums over them, as terms of the sums over all rows.
+    """The likelihood of some rows, and sums over them, as terms of the sums over all rows."""
 
-    Attributes
-    ----------
-    quadratic : Quadratic
-        The log likelihood of all candidates about zero.
-    score : (F,) array
-        Its derivatives by the levels, at the coefficients that it is taken about.
-    power : (L, B) array
-        Sums of the periodograms of the noisy inputs.
-    segments : int
-        Number of these.
-    samples : float
-        Number of samples.
-    products, pulls : (B, r, r) and (B, r) arrays
-        Over batches of rows, see `bayeq.likelihood.projection`: of the model's columns with each other, and with the
-        discrepancies of their equations.
-    squares, weight : (C,) array, float
-        Sums of the squares of the discrepancies, and of the weights of rows.
-    lost : int
-        Rows of which it could not be evaluated.
-    absent : (2, C) int array
-        Samples of each channel that are missing, and that were left out as bad; empty where nobody counted them.
-    """
-
-    quadratic: Quadratic
-    score: Floats
-    power: Floats
-    segments: int
-    samples: float
+    quadratic: Quadratic  # the log likelihood of all candidates about zero
+    score: Floats  # (F,), its derivatives by the levels, at the coefficients that it is taken about
+    power: Floats  # (L, B), sums of the periodograms of the noisy inputs
+    segments: int  # number of these
+    samples: float  # number of samples
+    # (B, r, r), over batches of rows, see `bayeq.likelihood.projection`: of the model's columns with each other
     products: Floats
-    pulls: Floats
-    squares: Floats
-    weight: float = 0.0
-    lost: int = 0
+    pulls: Floats  # (B, r), the same with the discrepancies of their equations
+    squares: Floats  # (C,), sums of the squares of the discrepancies
+    weight: float = 0.0  # sum of the weights of rows
+    lost: int = 0  # rows of which it could not be evaluated
+    # (2, C), samples of each channel that are missing, and that were left out as bad; empty where nobody counted them
     absent: Ints = field(default_factory=lambda: np.zeros((2, 0), dtype=np.int64))
 
     def __add__(self, other: Block) -> Block:
@@ -85,14 +64,9 @@ class Block:
 
 
 def block_of(task: Task, state: State, pieces: Sequence[MotionRows]) -> Block:
-    """The likelihood of rows given the coefficients, levels and prior of a fit, about the path that is likeliest there.
+    """The likelihood of smoothed rows given coefficients, levels and prior of a fit, about the likeliest path there.
 
-    Parameters
-    ----------
-    task, state : Task, State
-        What other rows of the same system were explained by.
-    pieces : sequence of MotionRows
-        Rows, smoothed.
+    The fit is to other rows of the same system.
     """
     power, segments = _power(task, pieces)
     size, r = len(task.precision), len(state.theta)
@@ -175,26 +149,15 @@ def statistics(
 
 @dataclass(frozen=True, eq=False)
 class Curvature:
-    """How the likelihood of a fit curves, of one sample on average.
+    """How the likelihood of a fit curves, of one sample on average."""
 
-    Attributes
-    ----------
-    moving : (K,) int array
-        The levels, as entries of `Levels.free`, that are neither known nor at a bound.
-    turning : (L,) int array
-        The noisy inputs whose spectrum has a corner.
-    slopes : (C (P + 1), K + L) array
-        Derivatives of the slopes by all candidates, by these levels and by the logarithms of these corners.
-    scores : (K, K + L) array
-        Derivatives of the slopes by the levels.
-    spreads : (K + L,) array
-        How far the logarithms of the standard deviations of coefficients in the model follow them, at most.
-    """
-
-    moving: Ints
-    turning: Ints
+    moving: Ints  # (K,), the levels, as entries of `Levels.free`, that are neither known nor at a bound
+    turning: Ints  # (L,), the noisy inputs whose spectrum has a corner
+    # (C (P + 1), K + L), derivatives of the slopes by all candidates, by these levels and by the logarithms of these
+    # corners
     slopes: Floats
-    scores: Floats
+    scores: Floats  # (K, K + L), derivatives of the slopes by the levels
+    # (K + L,), how far the logarithms of the standard deviations of coefficients in the model follow them, at most
     spreads: Floats
 
 
@@ -262,35 +225,18 @@ def _slopes(task: Task, state: State) -> _Slopes:
 
 
 class Relearned(NamedTuple):
-    """A fit with the levels of all rows.
+    """A fit with the levels of all rows."""
 
-    Attributes
-    ----------
-    task, state : Task, State
-        With the corners and the levels of all rows.
-    quadratic : Quadratic
-        The likelihood of all candidates there.
-    moved : float
-        How far the logarithm of a noise level, a corner or a standard deviation has moved, at most.
-    """
-
-    task: Task
-    state: State
-    quadratic: Quadratic
-    moved: float
+    task: Task  # with the corners of all rows
+    state: State  # with their levels
+    quadratic: Quadratic  # the likelihood of all candidates there
+    moved: float  # how far the logarithm of a noise level, a corner or a standard deviation has moved, at most
 
 
 def relearned(task: Task, state: State, block: Block, curve: Curvature) -> Relearned:
     """Corners from the spectra of all rows; levels by a Newton step on their likelihood, coefficients solved along.
 
-    Parameters
-    ----------
-    task, state : Task, State
-        What the block is about.
-    block : Block
-        All rows.
-    curve : Curvature
-        Of the rows that were fitted.
+    The block is of all rows, about the task's fit; the curvature of those that were fitted.
     """
     layout, levels, theta = task.layout, state.levels, coefficients(task.layout, state)
     spectra = [of_segments(power, block.segments, SEGMENT) for power in block.power]

@@ -29,28 +29,14 @@ LEAST, LEAST_ERROR = 1e-9, 1e-3
 
 
 class Hold(NamedTuple):
-    """Intervals in which a jump keeps its argument at zero: both sides lead there, as where friction holds a body.
+    """Intervals in which a jump keeps its argument at zero: both sides lead there, as where friction holds a body."""
 
-    Attributes
-    ----------
-    jump : int
-        Of `Layout.jumps`.
-    rows : (k,) int array
-        The intervals, by the samples that they begin with.
-    half : (k, C) array
-        Half of what the jump changes each equation by.
-    gradient, offset : (k, motion) and (k,) arrays
-        The argument at their ends: ``gradient @ states + offset``.
-    wide : float
-        A width over which the jump is not seen.
-    """
-
-    jump: int
-    rows: NDArray[np.intp]
-    half: Floats
-    gradient: Floats
-    offset: Floats
-    wide: float
+    jump: int  # of `Layout.jumps`
+    rows: NDArray[np.intp]  # (k,), the intervals, by the samples that they begin with
+    half: Floats  # (k, C), half of what the jump changes each equation by
+    gradient: Floats  # (k, motion), the argument at their ends is ``gradient @ states + offset``
+    offset: Floats  # (k,)
+    wide: float  # a width over which the jump is not seen
 
     def projectors(self, push: Floats) -> tuple[Floats, Floats]:
         """What the force that holds the argument leaves of changes of the states, and what it changes them by.
@@ -64,24 +50,12 @@ class Hold(NamedTuple):
 
 
 class Blur(NamedTuple):
-    """Widths of the jumps along the path of a record.
+    """Widths of the jumps along the path of a record."""
 
-    Attributes
-    ----------
-    width : (n, J) array
-        Of `Layout.jumps`, in the unit of what jumps.
-    unresolved : (n, M) array
-        Variance that each sample has beside its noise: of what the mean of jumps leaves out.
-    force : (n - 1, C) array
-        Variance, over a step, of the force that it leaves out of each equation.
-    holds : tuple of Hold
-        Where jumps hold their arguments.
-    """
-
-    width: Floats
-    unresolved: Floats
-    force: Floats
-    holds: tuple[Hold, ...] = ()
+    width: Floats  # (n, J), of `Layout.jumps`, in the unit of what jumps
+    unresolved: Floats  # (n, M), variance that each sample has beside its noise: of what the mean of jumps leaves out
+    force: Floats  # (n - 1, C), variance, over a step, of the force that it leaves out of each equation
+    holds: tuple[Hold, ...] = ()  # where jumps hold their arguments
 
     def beside(self, inputs: Floats) -> Floats:
         """Inputs (n, m, 4) and the widths, straight between samples, (n, m + J, 4)."""
@@ -130,20 +104,10 @@ def blur_of(
     theta: Floats,
     substeps: NDArray[np.int64],
 ) -> Blur:
-    """Widths along a path.
+    """Widths along smoothed states, a path (n, S) with covariance (n, S, S), of the model `chosen`, `theta`.
 
-    Parameters
-    ----------
-    layout, series
-        States and samples.
-    path, covariance : (n, S) and (n, S, S) arrays
-        Smoothed states.
-    push : (n - 1, S, C) array
-        What a constant force of 1 in each equation changes the states by in a step.
-    chosen, theta : Candidates, (r,) array
-        The model.
-    substeps : (n - 1,) int array
-        Steps of the integration in each interval.
+    `push`, (n - 1, S, C), is what a constant force of 1 in each equation changes the states by in a step; `substeps`,
+    (n - 1,), are the steps of the integration in each interval.
     """
     n, columns = len(path), _columns(layout, series, path)
     if layout.implicit:

@@ -29,81 +29,39 @@ TOGETHER = 2**15
 
 
 class Noise(NamedTuple):
-    """Variances of noise, steps and first states.
+    """Variances of noise, steps and first states."""
 
-    Attributes
-    ----------
-    channels : (M,) array
-        Variances R of the channels' noise.
-    memory : (S,) array
-        What is left of a state after a sample: 1 but for discrepancies and slopes.
-    steps : (S,) array
-        Variances of what is then added.
-    mean, start : (S,) arrays
-        Mean and variance of the states at the first sample.
-    courses : (L,) array
-        Variance of what the course of each input between samples errs by, as a share of the square of its bends.
-    """
-
-    channels: Floats
-    memory: Floats
-    steps: Floats
-    mean: Floats
-    start: Floats
+    channels: Floats  # (M,), variances R of the channels' noise
+    memory: Floats  # (S,), what is left of a state after a sample: 1 but for discrepancies and slopes
+    steps: Floats  # (S,), variances of what is then added
+    mean: Floats  # (S,), of the states at the first sample
+    start: Floats  # (S,), their variance there
+    # (L,), variance of what the course of each input between samples errs by, as a share of the square of its bends
     courses: Floats
 
 
 class Filtered(NamedTuple):
-    """A filtered record.
+    """A filtered record."""
 
-    Attributes
-    ----------
-    innovation : (n, M, 1 + r) array
-        Of the data, then the derivatives of the prediction by each coefficient.
-    variance : (n, M) array
-        Of the innovations; 0 where there is no sample.
-    gain : (n, M, S) array
-        Of each sample.
-    mean : (n, S, 1 + r) array
-        Filtered deviation from the path, then its derivatives by each coefficient.
-    covariance : (n, S, S) array
-        Of the filtered states.
-    product : (1 + r, 1 + r) array
-        Sum of the innovations' products over their variances.
-    log_variance : float
-        Sum of ln 2 pi S.
-    """
-
-    innovation: Floats
-    variance: Floats
-    gain: Floats
-    mean: Floats
-    covariance: Floats
-    product: Floats
-    log_variance: float
+    innovation: Floats  # (n, M, 1 + r), of the data, then the derivatives of the prediction by each coefficient
+    variance: Floats  # (n, M), of the innovations; 0 where there is no sample
+    gain: Floats  # (n, M, S), of each sample
+    mean: Floats  # (n, S, 1 + r), filtered deviation from the path, then its derivatives by each coefficient
+    covariance: Floats  # (n, S, S), of the filtered states
+    product: Floats  # (1 + r, 1 + r), sum of the innovations' products over their variances
+    log_variance: float  # sum of ln 2 pi S
 
 
 class _Running(NamedTuple):
-    """Where a recursion stands, and its work space; W is the padded width of a row.
+    """Where a recursion stands, and its work space; W is the padded width of a row."""
 
-    Attributes
-    ----------
-    work : (2, S, W) array
-        The rows: vectors, one for the data and one for each coefficient, then a matrix. At even samples they stand in
-        ``work[0]``, at odd ones in ``work[1]``.
-    step : (S, S) array
-        Work space of a transition.
-    lines : (1, W) array
-        What is left of a sample.
-    scaled, variance : (rows M, 1 + r) and (rows M,) arrays
-        Innovations over their standard deviation, and their variances.
-    """
-
+    # (2, S, W), the rows: vectors, one for the data and one for each coefficient, then a matrix. At even samples they
+    # stand in ``work[0]``, at odd ones in ``work[1]``.
     work: Floats
-    step: Floats
-    lines: Floats
-    scaled: Floats
-    variance: Floats
+    step: Floats  # (S, S), work space of a transition
+    lines: Floats  # (1, W), what is left of a sample
+    scaled: Floats  # (rows M, 1 + r), innovations over their standard deviation
+    variance: Floats  # (rows M,), of the innovations
 
     @classmethod
     def at_start(cls, linear: Linear, chosen: Candidates, noise: Noise) -> _Running:
@@ -306,13 +264,8 @@ def _forward(
 def run_filter(linear: Linear, chosen: Candidates, noise: Noise, keep: bool = True) -> Filtered:
     """Filter a record with the columns of the chosen candidates beside the data.
 
-    Parameters
-    ----------
-    linear, chosen, noise
-        The model.
-    keep : bool
-        Whether what `adjoint` needs is wanted; without, there are no rows but in the sums, and memory does not grow
-        with the record.
+    `keep` asks for what `adjoint` needs; without, there are no rows but in the sums, and memory does not grow with the
+    record.
     """
     (n, size), channels, r = linear.path.shape, len(linear.kinds), len(chosen.chain)
     rows = n if keep else 0

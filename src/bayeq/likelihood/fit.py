@@ -14,7 +14,7 @@ from bayeq.likelihood.blur import Blur, blur_of, first_blur
 from bayeq.likelihood.filter import Filtered, run_filter
 from bayeq.likelihood.layout import NOTHING, Candidates, Layout, Series, Stated
 from bayeq.likelihood.levels import Levels
-from bayeq.likelihood.linear import Linear, derivatives_along, linearise, targets_along, terms_at
+from bayeq.likelihood.linear import Linear, derivatives_along, linearise, terms_along
 from bayeq.numerics.minimise import minimise
 from bayeq.numerics.settings import LIKELIHOOD
 
@@ -33,25 +33,13 @@ LONGEST = 2.0
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Where a fit stands.
+    """Where a fit stands."""
 
-    Attributes
-    ----------
-    chosen, theta : Candidates, (r,) array
-        Coefficients that are not zero, and their values.
-    paths : tuple of (n, S) arrays
-        States of each record.
-    levels : Levels
-        Noise and discrepancies.
-    blurs : tuple of Blur
-        Widths of the jumps in each record; empty where no error of the paths is known.
-    """
-
-    chosen: Candidates
-    theta: Floats
-    paths: tuple[Floats, ...]
-    levels: Levels
-    blurs: tuple[Blur, ...] = ()
+    chosen: Candidates  # coefficients that are not zero
+    theta: Floats  # (r,), their values
+    paths: tuple[Floats, ...]  # (n, S), states of each record
+    levels: Levels  # noise and discrepancies
+    blurs: tuple[Blur, ...] = ()  # widths of the jumps in each record; empty where no error of the paths is known
 
     def halfway(self, other: State) -> State:
         """The state halfway to another one of the same model; levels are those of this one."""
@@ -99,25 +87,13 @@ class Quadratic:
 
 @dataclass(frozen=True, eq=False)
 class Statistics:
-    """The marginal likelihood of a linearised model, and what it is made of.
+    """The marginal likelihood of a linearised model, and what it is made of."""
 
-    Attributes
-    ----------
-    value : float
-        ln p(data | levels), coefficients integrated out.
-    here : float
-        The same without what moving the coefficients by `delta` promises.
-    delta, covariance : (r,) and (r, r) arrays
-        Posterior mean of the coefficients' deviations, and their covariance.
-    filtered : tuple of Filtered
-        Of each record.
-    """
-
-    value: float
-    here: float
-    delta: Floats
-    covariance: Floats
-    filtered: tuple[Filtered, ...]
+    value: float  # ln p(data | levels), coefficients integrated out
+    here: float  # the same without what moving the coefficients by `delta` promises
+    delta: Floats  # (r,), posterior mean of the coefficients' deviations
+    covariance: Floats  # (r, r), of the coefficients
+    filtered: tuple[Filtered, ...]  # of each record
 
 
 def linearised(layout: Layout, series: Sequence[Series], state: State, substeps: int = 1) -> list[Linear]:
@@ -135,8 +111,7 @@ def candidates(layout: Layout, series: Sequence[Series], state: State, step: int
     for one, path, known in zip(series, state.paths, blurs, strict=True):
         blur = first_blur(layout, one, path) if known is None and layout.jumps else known
         inputs, along = (one.inputs if blur is None else blur.beside(one.inputs))[::step], path[::step]
-        free, _ = targets_along(layout, along, inputs, state.chosen, state.theta)
-        out.append(terms_at(layout, along, inputs, free))
+        out.append(terms_along(layout, along, inputs, state.chosen, state.theta)[0])
     return out
 
 
@@ -209,34 +184,6 @@ def of_inputs(linears: Sequence[Linear], levels: Levels) -> float:
         residual[:, : -len(layout.roles.inputs)] = np.nan
         alone.append(run_filter(linear._replace(residual=residual), NOTHING, levels.noise, keep=False))
     return quadratic(alone).level
-
-
-def over_sizes(
-    linears: Sequence[Linear], state: State, precision: Floats, value: float, former: Floats
-) -> tuple[Floats, Levels]:
-    """ln of the likelihood averaged over sizes of each discrepancy, less that of the likeliest; levels of the best.
-
-    The standard deviation of each discrepancy has a flat prior on a logarithmic scale between the bounds of `Levels`. A
-    model that needs no discrepancy is as likely at any small one, and one that needs it at its size only. The
-    discrepancies are integrated one by one, about the likeliest sizes; those known from a `former` fit, (C,), not
-    again, those that are NaN there.
-    """
-    levels = state.levels
-    bounds = np.log(levels.sizes)
-    means, met = np.where(levels.stated, 0.0, former), levels.discrepancy.copy()
-    for c in np.flatnonzero(np.isnan(former)).tolist():
-        likeliest = float(np.log(levels.discrepancy[c]))
-
-        def log_ratio(size: float, c: int = c, likeliest: float = likeliest) -> float:
-            if size == likeliest:
-                return 0.0
-            other = levels.with_discrepancy(c, np.exp(size))
-            return marginal(linears, state, other, precision, keep=False).value - value
-
-        low, high = bounds[:, c].tolist()
-        means[c], size = log_mean(log_ratio, low, high, likeliest)
-        met[c] = met[c] if size == likeliest else np.exp(size)
-    return means, replace(levels, discrepancy=met)
 
 
 def log_mean(log_of: Callable[[float], float], low: float, high: float, peak: float) -> tuple[float, float]:

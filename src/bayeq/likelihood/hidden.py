@@ -36,27 +36,14 @@ def with_first_laws(
 ) -> tuple[Motion, tuple[Expression, ...]]:
     """The motion with hidden states, and the terms with the constants of their laws.
 
-    Of values on a grid those are taken whose hidden states let the candidates of the other equations, together,
-    explain most of the smoothed rows.
-
-    Parameters
-    ----------
-    motion : Motion
-        Without the hidden states.
-    roles : Roles
-        With them.
-    terms : sequence of Expression
-        The P candidates of all equations, the laws among them.
-    allowed : (C, P) bool array
-        Which of them each equation may have.
-
-    Raises
-    ------
-    InputError
-        A constant whose range has to be written; laws that are finite for no values of their constants.
+    Of values on a grid those are taken whose hidden states let the candidates of the other equations, together, explain
+    most of the smoothed rows. The motion is without the hidden states, the roles are with them, the P terms with their
+    laws; `allowed`, (C, P), says which of these each equation may have. An InputError refuses a constant whose range
+    has to be written, and laws that are finite for no values of their constants.
     """
     constants = _ranges(roles, motion)
-    places = [np.linspace(to_scale(one, one.low), to_scale(one, one.high), _nodes(len(constants))) for one in constants]
+    nodes = min(NODES, max(3, int(GRID ** (1.0 / max(len(constants), 1)))))
+    places = [np.linspace(to_scale(one, one.low), to_scale(one, one.high), nodes) for one in constants]
 
     def tried(at: Sequence[float]) -> tuple[float, Motion | None, dict[str, Unknown]]:
         values = {one.name: replace(one, value=to_plain(one, x)) for one, x in zip(constants, at, strict=True)}
@@ -86,10 +73,7 @@ def with_first_laws(
 def seen_in(chain: Chain, roles: Roles, terms: Sequence[Expression], allowed: Bools) -> tuple[int, int]:
     """The first measured equation that has a hidden state by itself as a candidate, and that: they set its scale.
 
-    Raises
-    ------
-    InputError
-        There is none.
+    An InputError says that there is none.
     """
     name = chain.names[0]
     for j, term in enumerate(terms):
@@ -193,15 +177,9 @@ def with_laws_of(motion: Motion, terms: Sequence[Expression], state: State) -> M
 
 def at_values(roles: Roles, values: Mapping[str, Unknown]) -> Roles:
     """The roles with values of the constants of their laws."""
-    return roles.with_chains([_at(chain, values) for chain in roles.chains])
-
-
-def _at(chain: Chain, values: Mapping[str, Unknown]) -> Chain:
-    return chain if chain.law is None else chain.with_law(chain.law.with_unknowns(values))
-
-
-def _nodes(constants: int) -> int:
-    return min(NODES, max(3, int(GRID ** (1.0 / constants)))) if constants else NODES
+    return roles.with_chains(
+        [one if one.law is None else one.with_law(one.law.with_unknowns(values)) for one in roles.chains]
+    )
 
 
 def _explained(motion: Motion, terms: Sequence[Expression], allowed: Bools) -> float:

@@ -54,14 +54,8 @@ def first_lags(motion: Motion, terms: Sequence[Expression]) -> Mapping[str, Lag]
 def lags_of(task: Task, state: State, power: float = 1.0) -> Mapping[str, Lag]:
     """The lags of channels about a fit, what was taken out of the samples included.
 
-    Every record has its own, with the same prior; they are averaged by their information.
-
-    Parameters
-    ----------
-    task, state : Task, State
-        What was explained, and the fit.
-    power : float
-        That the likelihood is raised to.
+    Every record has its own, with the same prior; they are averaged by their information. The likelihood is raised to
+    `power`.
     """
     found, out = task.marginal(state), {}
     for (channel, lag), s in zip(task.layout.late, task.layout.lags, strict=True):

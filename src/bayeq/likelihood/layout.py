@@ -31,16 +31,10 @@ SMOOTH, STRAIGHT, HELD = 0, 1, 2
 
 
 class Candidates(NamedTuple):
-    """Coefficients of some equations: the term ``terms[j]`` in the equation of chain ``chain[j]``.
+    """Coefficients of some equations: the term ``terms[j]`` in the equation of chain ``chain[j]``."""
 
-    Attributes
-    ----------
-    chain, term : (p,) int arrays
-        Number of the equation and of the term; the number after the last term stands for the constant.
-    """
-
-    chain: Ints
-    term: Ints
+    chain: Ints  # (p,), number of the equation
+    term: Ints  # (p,), of the term; the number after the last one stands for the constant
 
     def take(self, index: NDArray[np.intp]) -> Candidates:
         """Some of the coefficients."""
@@ -52,85 +46,43 @@ NOTHING = Candidates(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))
 
 
 class Stated(NamedTuple):
-    """What is known of a sum of coefficients before: a normal distribution, as if it had been measured.
+    """What is known of a sum of coefficients before: a normal distribution, as if it had been measured."""
 
-    Attributes
-    ----------
-    parts : tuple of (int, int, float)
-        Equation and term, as in `Candidates`, and factor of each coefficient.
-    mean, sd : float
-        In original units. A standard deviation of 0 is a tie: the sum is that number.
-    """
-
-    parts: tuple[tuple[int, int, float], ...]
-    mean: float
-    sd: float
+    parts: tuple[tuple[int, int, float], ...]  # equation and term, as in `Candidates`, and factor of each coefficient
+    mean: float  # in original units
+    sd: float  # 0 is a tie: the sum is that number
 
 
 class Series(NamedTuple):
-    """The samples of one record.
+    """The samples of one record."""
 
-    Attributes
-    ----------
-    intervals : (n - 1,) array
-        Between samples [s].
-    samples : (n, M) array
-        Of `Layout.channels`; NaN where there is none.
-    inputs : (n, m, 4) array
-        What `Layout.given` names, from `bayeq.ode.rk4.interpolant`.
-    spread : (n, M) array
-        Variance of the noise of each sample as a multiple of its channel's.
-    bends : (n, L, 2) array
-        What the course of each input has beside a straight line: a fraction f after a sample, f (1 - f) times the first
-        and f times the second.
-    """
-
-    intervals: Floats
-    samples: Floats
-    inputs: Floats
-    spread: Floats
+    intervals: Floats  # (n - 1,), between samples [s]
+    samples: Floats  # (n, M), of `Layout.channels`; NaN where there is none
+    inputs: Floats  # (n, m, 4), what `Layout.given` names, from `bayeq.ode.rk4.interpolant`
+    spread: Floats  # (n, M), variance of the noise of each sample as a multiple of its channel's
+    # (n, L, 2), what the course of each input has beside a straight line: a fraction f after a sample, f (1 - f) times
+    # the first and f times the second
     bends: Floats
 
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Where the states of a system stand, and what is measured of them.
+    """Where the states of a system stand, and what is measured of them."""
 
-    Attributes
-    ----------
-    roles : Roles
-        Chains and inputs.
-    terms : tuple of Expression
-        The P candidate terms, the same for every equation.
-    gains : tuple of (K+1,) arrays
-        Of each chain, see `bayeq.states.sensors`.
-    smoothness : tuple of int
-        Number of derivatives of each input that are states: it is low-passed noise, see `bayeq.likelihood.low_pass`. 0
-        stands for a sequence of independent samples joined by straight lines, whose slope is a state all the same.
-    centres : tuple of float
-        Mean of each input.
-    corners : tuple of float
-        Of the spectrum of each input [rad/s]; not used of a random sequence.
-    courses : tuple of str
-        Of each input between its samples: "smooth", as its derivatives say; "linear"; "hold"; or a straight line and
-        what the "cubic" or "band-limited" interpolation of the samples has beside one.
-    drift : float
-        What is left after a sample of the drift of every channel; 0 where there is none.
-    stated : tuple of Stated
-        What is known of coefficients before.
-    late : tuple of (int, Lag)
-        Channels that may be late, and what of their lags has been taken out of their samples.
-    """
-
-    roles: Roles
-    terms: tuple[Expression, ...]
-    gains: tuple[Floats, ...]
+    roles: Roles  # chains and inputs
+    terms: tuple[Expression, ...]  # the P candidate terms, the same for every equation
+    gains: tuple[Floats, ...]  # (K+1,), of each chain, see `bayeq.states.sensors`
+    # number of derivatives of each input that are states: it is low-passed noise, see `bayeq.likelihood.low_pass`. 0
+    # stands for a sequence of independent samples joined by straight lines, whose slope is a state all the same.
     smoothness: tuple[int, ...] = ()
-    centres: tuple[float, ...] = ()
-    corners: tuple[float, ...] = ()
+    centres: tuple[float, ...] = ()  # mean of each input
+    corners: tuple[float, ...] = ()  # of the spectrum of each input [rad/s]; not used of a random sequence
+    # of each input between its samples: "smooth", as its derivatives say; "linear"; "hold"; or a straight line and what
+    # the "cubic" or "band-limited" interpolation of the samples has beside one
     courses: tuple[Course, ...] = ()
-    drift: float = 0.0
-    stated: tuple[Stated, ...] = ()
+    drift: float = 0.0  # what is left after a sample of the drift of every channel; 0 where there is none
+    stated: tuple[Stated, ...] = ()  # what is known of coefficients before
+    # channels that may be late, and what of their lags has been taken out of their samples
     late: tuple[tuple[int, Lag], ...] = ()
 
     @property

@@ -33,64 +33,36 @@ STEP_SHARPNESS = 0.25
 
 @dataclass(frozen=True, eq=False)
 class Scales:
-    """Units in which levels are stated.
+    """Units in which levels are stated."""
 
-    Attributes
-    ----------
-    mean, variance : (S,) arrays
-        Of the states (of discrepancies: 0, and the variance of their target).
-    channels : (M,) array
-        Variance of each channel.
-    interval : float
-        Between samples, mostly [s]; 0 where memories of discrepancies are to be as long as the record has them.
-    rounding : (M,) array or 0
-        Variance of each channel's rounding. Its noise is no less: a body at rest gives one value again and again.
-    """
-
-    mean: Floats
-    variance: Floats
-    channels: Floats
+    mean: Floats  # (S,), of the states; of discrepancies 0
+    variance: Floats  # (S,), of the states; of discrepancies that of their target
+    channels: Floats  # (M,), variance of each channel
+    # between samples, mostly [s]; 0 where memories of discrepancies are to be as long as the record has them
     interval: float = 0.0
+    # (M,) or 0, variance of each channel's rounding. Its noise is no less: a body at rest gives one value again and
+    # again.
     rounding: Floats | float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class Levels:
-    """Sizes of noise and discrepancies.
+    """Sizes of noise and discrepancies."""
 
-    Attributes
-    ----------
-    layout, scales
-        What they are sizes of.
-    channels : (M,) array
-        Variances of the channels' noise.
-    discrepancy : (C,) array
-        Variance of each equation's discrepancy.
-    memory : (C,) array
-        What is left of a discrepancy after a sample.
-    slope : (L,) array
-        Variance of what is added to the highest derivative of each noisy input at a sample.
-    courses : (L,) array
-        Variance of what the course of each noisy input between samples errs by, as a share of the square of its bends.
-    drifts : (M,) or (0,) array
-        Variance of the drift of each channel.
-    hessian : (F, F) array or None
-        How the likelihood curves downwards in `free`, as the search that led here has found it, in the units of that
-        search.
-    held : (M,) bool array or None
-        Channels whose noise is known: it stays as it is.
-    """
-
-    layout: Layout
+    layout: Layout  # what they are sizes of
     scales: Scales
-    channels: Floats
-    discrepancy: Floats
-    memory: Floats
-    slope: Floats
+    channels: Floats  # (M,), variances of the channels' noise
+    discrepancy: Floats  # (C,), variance of each equation's discrepancy
+    memory: Floats  # (C,), what is left of a discrepancy after a sample
+    slope: Floats  # (L,), variance of what is added to the highest derivative of each noisy input at a sample
+    # (L,), variance of what the course of each noisy input between samples errs by, as a share of the square of its
+    # bends
     courses: Floats
-    drifts: Floats
+    drifts: Floats  # (M,) or (0,), variance of the drift of each channel
+    # (F, F), how the likelihood curves downwards in `free`, as the search that led here has found it, in the units of
+    # that search
     hessian: Floats | None = None
-    held: NDArray[np.bool_] | None = None
+    held: NDArray[np.bool_] | None = None  # (M,), channels whose noise is known: it stays as it is
 
     @cached_property
     def noise(self) -> Noise:

@@ -18,68 +18,35 @@ from bayeq.numerics.spline import spline_slopes
 
 
 class Linear(NamedTuple):
-    """A record's model, linear in the deviations from a path and from some coefficients.
+    """A record's model, linear in the deviations from a path and from some coefficients."""
 
-    Attributes
-    ----------
-    path : (n, S) array
-        States that it is linearised about.
-    end : (n - 1, S) array
-        Where a step from each of them ends, before the discrepancies and slopes change.
-    transition : (n - 1, S, S) array
-        Derivatives of `end` by the states.
-    gradient : (n, C, S) array
-        Derivatives of each target by the states; where channels drift, of what is measured of it, and behind these of
-        each state.
-    residual : (n, M) array
-        Samples less what the path gives; NaN where there is none.
-    kinds : (M,) array
-        See `Layout.channels`; -1 - i for a channel of which ``gradient[:, i]`` tells.
-    follows, leads : (S, S) int arrays
-        Of each state, how many others its next value may depend on, and which; and how many depend on it, and which.
-    spread : (n, M) array
-        As in `Series`.
-    unresolved, force : (n, M) and (n - 1, C) arrays
-        As in `Blur`.
-    bends : (n - 1, C, L) array
-        Squares of what the target of each equation changes by as an input bends between samples.
-    discrepancy : (C,) int array
-        See `Layout.discrepancy`.
-    terms : (n, P + 1) array
-        The candidates and the constant at the path.
-    coupling : (n, C, C) array
-        Derivatives of the targets by the right-hand sides, (I - A)^-1, where terms hold targets; otherwise empty.
-    open_to : (n, C) array
-        Share of a term that shows in a sample of its target: 1, and 0 where a jump makes up for it.
-    chosen : Candidates
-        The coefficients of the model.
-    sources : (n - 1, motion, r) array
-        Derivatives of `end` by them, of the states of the chains.
-    steps : Steps
-        What `sources_of` other coefficients takes.
-    holds : tuple of ((k,), (k, motion, motion)) arrays
-        Intervals in which the arguments of jumps are held, and what that leaves of changes of the states.
-    """
-
-    path: Floats
-    end: Floats
-    transition: Floats
+    path: Floats  # (n, S), states that it is linearised about
+    end: Floats  # (n - 1, S), where a step from each of them ends, before the discrepancies and slopes change
+    transition: Floats  # (n - 1, S, S), derivatives of `end` by the states
+    # (n, C, S), derivatives of each target by the states; where channels drift, of what is measured of it, and behind
+    # these of each state
     gradient: Floats
-    residual: Floats
-    kinds: Ints
-    follows: Ints
-    leads: Ints
-    spread: Floats
-    unresolved: Floats
-    force: Floats
+    residual: Floats  # (n, M), samples less what the path gives; NaN where there is none
+    kinds: Ints  # (M,), see `Layout.channels`; -1 - i for a channel of which ``gradient[:, i]`` tells
+    follows: Ints  # (S, S), of each state, how many others its next value may depend on, and which
+    leads: Ints  # (S, S), how many depend on it, and which
+    spread: Floats  # (n, M), as in `Series`
+    unresolved: Floats  # (n, M), as in `Blur`
+    force: Floats  # (n - 1, C), as in `Blur`
+    # (n - 1, C, L), squares of what the target of each equation changes by as an input bends between samples
     bends: Floats
-    discrepancy: Ints
-    terms: Floats
+    discrepancy: Ints  # (C,), see `Layout.discrepancy`
+    terms: Floats  # (n, P + 1), the candidates and the constant at the path
+    # (n, C, C), derivatives of the targets by the right-hand sides, (I - A)^-1, where terms hold targets; otherwise
+    # empty
     coupling: Floats
+    # (n, C), share of a term that shows in a sample of its target: 1, and 0 where a jump makes up for it
     open_to: Floats
-    chosen: Candidates
-    sources: Floats
-    steps: Steps
+    chosen: Candidates  # the coefficients of the model
+    sources: Floats  # (n - 1, motion, r), derivatives of `end` by them, of the states of the chains
+    steps: Steps  # what `sources_of` other coefficients takes
+    # intervals in which the arguments of jumps are held, (k,), and what that leaves of changes of the states,
+    # (k, motion, motion)
     holds: tuple[tuple[NDArray[np.intp], Floats], ...]
 
     def in_order(self, channels: NDArray[np.intp]) -> Linear:
@@ -98,22 +65,10 @@ def linearise(
     blur: Blur | None = None,
     substeps: int = 1,
 ) -> Linear:
-    """The model of a record about a path and the coefficients `theta` of the chosen candidates.
+    """The model of a record about a path, (n, S), and the coefficients `theta`, (r,), of the chosen candidates.
 
-    Parameters
-    ----------
-    layout : Layout
-        States and channels.
-    series : Series
-        The record.
-    path : (n, S) array
-        States.
-    chosen, theta : Candidates, (r,) array
-        Coefficients that are not zero.
-    blur : Blur, optional
-        Widths of the jumps; by default those between samples.
-    substeps : int
-        Runge-Kutta steps between two samples; more, `jump_steps`, where a term of the model jumps.
+    The widths of jumps, `blur`, are by default those between samples. `substeps` are Runge-Kutta steps between two
+    samples; more, `jump_steps`, where a term of the model jumps.
     """
     n, size, chains = len(path), layout.size, layout.chains
     blur = first_blur(layout, series, path, substeps) if blur is None else blur
@@ -160,7 +115,7 @@ def linearise(
     if layout.late:
         kinds, gradient = _with_lags(layout, series.intervals, path, seen, kinds.copy(), gradient)
     related = (transition != 0.0).any(axis=0)
-    free, coupling = targets_along(layout, path, inputs, chosen, theta)
+    terms, coupling = terms_along(layout, path, inputs, chosen, theta)
     return Linear(
         path=path,
         end=end,
@@ -175,7 +130,7 @@ def linearise(
         force=blur.force,
         bends=bends,
         discrepancy=layout.discrepancy,
-        terms=terms_at(layout, path, inputs, free),
+        terms=terms,
         coupling=coupling,
         open_to=open_to,
         chosen=chosen,
@@ -291,32 +246,20 @@ def _to_mean(layout: Layout, intervals: Floats, end: Floats, transition: Floats)
         transition[:, slope] = np.einsum("nj,njs->ns", factors, transition[:, states])
 
 
-def _columns(layout: Layout, path: Floats, inputs: Floats) -> dict[str, Floats]:
-    columns = dict(zip(layout.names, np.asfortranarray(path).T, strict=True))
-    return columns | dict(zip((*layout.given, *layout.jump_widths), inputs[:, :, 0].T, strict=True))
-
-
-def targets_along(
+def terms_along(
     layout: Layout, path: Floats, inputs: Floats, chosen: Candidates, theta: Floats
 ) -> tuple[Floats, Floats]:
-    """Targets without discrepancies, (n, C), and (I - A)^-1, (n, C, C), of implicit equations; of others empty."""
-    chains = layout.chains
-    if not layout.implicit:
-        return np.zeros((0, chains)), np.zeros((0, chains, chains))
-    return layout.targets_along(_columns(layout, path, inputs), chosen, theta, layout.blurred)
-
-
-def terms_at(layout: Layout, path: Floats, inputs: Floats, free: Floats) -> Floats:
-    """Candidates and the constant at the states of a path, (n, P + 1), what is given (n, m, 4) with widths of jumps.
-
-    `free` are the targets without discrepancies, (n, C), where terms hold them.
-    """
-    columns = _columns(layout, path, inputs)
+    """Candidates and the constant at the states of a path, (n, P + 1), what is given (n, m, 4) with widths of jumps;
+    (I - A)^-1, (n, C, C), of implicit equations, of others empty."""
+    columns = dict(zip(layout.names, np.asfortranarray(path).T, strict=True))
+    columns |= dict(zip((*layout.given, *layout.jump_widths), inputs[:, :, 0].T, strict=True))
+    coupling = np.zeros((0, layout.chains, layout.chains))
     if layout.implicit:
+        free, coupling = layout.targets_along(columns, chosen, theta, layout.blurred)
         columns |= dict(zip(layout.roles.targets, free.T, strict=True))
     out = np.ones((len(path), len(layout.terms) + 1))
     out[:, :-1] = evaluate_terms(layout.blurred, columns)
-    return out
+    return out, coupling
 
 
 def derivatives_along(linear: Linear, at_samples: Floats, between: Floats) -> Floats:

@@ -30,20 +30,9 @@ POWER, HIGHEST = 0.9, 0.1
 
 
 def feedback(order: int, corner: float, intervals: Floats) -> Floats:
-    """Factors of the states at the end of a step that give the mean of the highest derivative after it.
+    """Factors (n, p) of the states at the ends of steps that give the mean of the highest derivative after each.
 
-    Parameters
-    ----------
-    order : int
-        p, the number of states.
-    corner : float
-        [rad/s].
-    intervals : (n,) array
-        Lengths of the steps [s].
-
-    Returns
-    -------
-    (n, p) array
+    There are p = `order` states, the corner is in rad/s, intervals, (n,), are in seconds.
     """
     different, which = np.unique(intervals, return_inverse=True)
     return np.array([_feedback(order, corner * h)[0] * h ** np.arange(1.0 - order, 1.0) for h in different])[which]
@@ -78,21 +67,11 @@ def step_variance(order: int, corner: float, interval: float, level: float) -> f
 
 
 class Spectrum(NamedTuple):
-    """Means of periodograms, Hann's window taken of every segment (Welch 1967).
+    """Means of periodograms, Hann's window taken of every segment (Welch 1967)."""
 
-    Attributes
-    ----------
-    omega : (B,) array
-        Frequencies [rad/sample].
-    power : (B,) array
-        Mean over the segments; the mean over all frequencies is the variance.
-    segments : (B,) array
-        Their number.
-    """
-
-    omega: Floats
-    power: Floats
-    segments: Floats
+    omega: Floats  # (B,), frequencies [rad/sample]
+    power: Floats  # (B,), mean over the segments; the mean over all frequencies is the variance
+    segments: Floats  # (B,), their number
 
 
 def mean_spectrum(pieces: Sequence[Floats]) -> Spectrum:
@@ -129,16 +108,7 @@ def periodograms(values: Floats, length: int) -> tuple[Floats, int]:
 def spectrum_of(found: Spectrum, order: int, interval: float, variance: float) -> tuple[float, float, float]:
     """Corner [rad/s], level at zero, and noise of samples, at the maximum of Whittle's likelihood (Whittle 1953).
 
-    Parameters
-    ----------
-    found : Spectrum
-        Of the samples.
-    order : int
-        Of the process.
-    interval : float
-        Between samples [s].
-    variance : float
-        Of the samples.
+    The spectrum and the variance are those of samples, `interval` [s] apart, of a process of some order.
     """
     w, P, count = found
     if not float(count @ P) > 0.0:

@@ -24,10 +24,10 @@ from bayeq.likelihood.fit import (
     improved,
     information,
     linearised,
+    log_mean,
     marginal,
     maximised,
     of_inputs,
-    over_sizes,
     solved,
 )
 from bayeq.likelihood.layout import Candidates, Layout, Series
@@ -69,41 +69,18 @@ MOST_SUBSTEPS, SMOOTH_STEPS, STEP_ERROR = 8, 0.98, 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """Records to be explained, candidates, and their prior.
+    """Records to be explained, candidates, and their prior."""
 
-    Attributes
-    ----------
-    layout : Layout
-        States and candidates.
-    series : tuple of Series
-        The records.
-    precision : (C (P + 1),) array
-        1/variance of each coefficient's prior, were it not zero.
-    log_odds : (C (P + 1),) array
-        Of each coefficient not being zero.
-    substeps : int
-        Runge-Kutta steps between two samples.
-    counted : float or None
-        Number of samples that the likelihood is of, where the series are some of them only.
-    tolerance : float or None
-        See `bayeq.discover`.
-    ranges : (C (P + 1),) array or None
-        What the log odds have lost to the ranges of constants inside terms.
-    flows : Flows or None
-        What models are selected from, where a sum of states is conserved.
-    recent : list
-        The last two linearisations and what they are of: fits go on from where others have stood.
-    """
-
-    layout: Layout
-    series: tuple[Series, ...]
-    precision: Floats
-    log_odds: Floats
-    substeps: int = 1
-    counted: float | None = None
-    tolerance: float | None = None
-    ranges: Floats | None = None
-    flows: Flows | None = None
+    layout: Layout  # states and candidates
+    series: tuple[Series, ...]  # the records
+    precision: Floats  # (C (P + 1),), 1/variance of each coefficient's prior, were it not zero
+    log_odds: Floats  # (C (P + 1),), of each coefficient not being zero
+    substeps: int = 1  # Runge-Kutta steps between two samples
+    counted: float | None = None  # number of samples that the likelihood is of, where the series are some of them only
+    tolerance: float | None = None  # see `bayeq.discover`
+    ranges: Floats | None = None  # (C (P + 1),), what the log odds have lost to the ranges of constants inside terms
+    flows: Flows | None = None  # what models are selected from, where a sum of states is conserved
+    # the last two linearisations and what they are of: fits go on from where others have stood
     recent: list[tuple[tuple[object, ...], list[Linear]]] = field(default_factory=list, repr=False)
 
     def linearised(self, state: State) -> list[Linear]:
@@ -211,36 +188,17 @@ def finer(task: Task, state: State) -> Task:
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A model fitted.
+    """A model fitted."""
 
-    Attributes
-    ----------
-    model : (C (P + 1),) bool array
-        Coefficients that are not zero.
-    state : State
-        Their values, the paths and the levels.
-    evidence : float
-        ln p(data, model), up to a constant.
-    value : float
-        ln p(data | levels).
-    expand : callable
-        Gives `quadratic`.
-    averages : (C,) array or None
-        What averaging over the size of each discrepancy makes of it; None where its likeliest size is taken.
-    tried : dict of bytes to float
-        Evidence of the models that were fitted to be compared.
-    power : float
-        That `quadratic` is raised to (`bayeq.likelihood.adequacy`).
-    """
-
-    model: Bools
-    state: State
-    evidence: float
-    value: float
-    expand: Callable[[], Quadratic]
+    model: Bools  # (C (P + 1),), coefficients that are not zero
+    state: State  # their values, the paths and the levels
+    evidence: float  # ln p(data, model), up to a constant
+    value: float  # ln p(data | levels)
+    expand: Callable[[], Quadratic]  # gives `quadratic`
+    # (C,), what averaging over the size of each discrepancy makes of it; None where its likeliest size is taken
     averages: Floats | None = None
-    tried: dict[bytes, float] = field(default_factory=dict)
-    power: float = 1.0
+    tried: dict[bytes, float] = field(default_factory=dict)  # evidence of the models that were fitted to be compared
+    power: float = 1.0  # that `quadratic` is raised to (`bayeq.likelihood.adequacy`)
 
     @cached_property
     def quadratic(self) -> Quadratic:
@@ -254,16 +212,9 @@ def of_motion(task: Task, fitted: Fitted) -> float:
 
 
 def fit(task: Task, state: State, coarse: bool = False, calm: int = 0) -> Fitted:
-    """Fit a model by Gauss-Newton steps; before each the levels are learned.
+    """Fit a model by Gauss-Newton steps from a state; before each the levels are learned.
 
-    Parameters
-    ----------
-    task, state : Task, State
-        What is to be explained, and where the steps start.
-    coarse : bool
-        Few steps only.
-    calm : int
-        Number of first steps in which discrepancies keep their size.
+    A `coarse` fit has few steps. In the first `calm` ones discrepancies keep their size.
     """
     layout, precision = task.layout, task.precision_of(state)
     before, length, last, halved = -np.inf, np.inf, None, 0
@@ -314,14 +265,33 @@ def over_all_sizes(task: Task, fitted: Fitted, beside: Fitted | None = None) -> 
     return replace(fitted, evidence=fitted.evidence + float(averages.sum()), averages=averages)
 
 
-def _over_sizes(task: Task, fitted: Fitted, known: Floats) -> tuple[Floats, State | None]:
-    """Averages over the sizes of discrepancies, (C,), and the state with likelier ones if there are."""
-    state, own = fitted.state, fitted.state.levels.discrepancy
-    averages, met = over_sizes(task.linearised(state), state, task.precision_of(state), fitted.value, known)
-    likelier = replace(state, levels=met)
-    if (met.discrepancy == own).all() or not task.marginal(likelier, keep=False).value > fitted.value + FLAT:
-        return averages, None
-    return averages, likelier
+def _over_sizes(task: Task, fitted: Fitted, former: Floats) -> tuple[Floats, State | None]:
+    """ln of the likelihood averaged over sizes of each discrepancy, less that of the likeliest; a likelier state.
+
+    The standard deviation of each discrepancy has a flat prior on a logarithmic scale between the bounds of `Levels`. A
+    model that needs no discrepancy is as likely at any small one, and one that needs it at its size only. The
+    discrepancies are integrated one by one, about the likeliest sizes; those known from a `former` fit, (C,), not
+    again, those that are NaN there.
+    """
+    state, levels = fitted.state, fitted.state.levels
+    bounds = np.log(levels.sizes)
+    means, met = np.where(levels.stated, 0.0, former), levels.discrepancy.copy()
+    for c in np.flatnonzero(np.isnan(former)).tolist():
+        likeliest = float(np.log(levels.discrepancy[c]))
+
+        def log_ratio(size: float, c: int = c, likeliest: float = likeliest) -> float:
+            if size == likeliest:
+                return 0.0
+            other = replace(state, levels=levels.with_discrepancy(c, np.exp(size)))
+            return task.marginal(other, keep=False).value - fitted.value
+
+        low, high = bounds[:, c].tolist()
+        means[c], size = log_mean(log_ratio, low, high, likeliest)
+        met[c] = met[c] if size == likeliest else np.exp(size)
+    other = replace(state, levels=replace(levels, discrepancy=met))
+    if (met == levels.discrepancy).all() or not task.marginal(other, keep=False).value > fitted.value + FLAT:
+        return means, None
+    return means, other
 
 
 def expanded(task: Task, state: State, curved: Floats) -> Quadratic:

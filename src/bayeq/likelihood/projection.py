@@ -28,47 +28,24 @@ LINES = 12
 
 
 class Leftover(NamedTuple):
-    """What the terms of an equation leave of its right-hand side, in sums over batches of samples.
+    """What the terms of an equation leave of its right-hand side, in sums over batches of samples."""
 
-    Attributes
-    ----------
-    products, pulls : (B, r, r) and (B, r) arrays
-        Of the columns with each other, and with the discrepancy.
-    square, weight : float
-        Of the discrepancy, its sum and its weights'.
-    target : float
-        Variance of the target.
-    lines : tuple of float
-        `lines_of_equal_power` of what the projection leaves of the right-hand side.
-    """
-
-    products: Floats
-    pulls: Floats
-    square: float
-    weight: float
-    target: float
-    lines: tuple[float, ...]
+    products: Floats  # (B, r, r), of the columns with each other
+    pulls: Floats  # (B, r), of the columns with the discrepancy
+    square: float  # sum of squares of the discrepancy
+    weight: float  # sum of the weights of samples
+    target: float  # variance of the target
+    lines: tuple[float, ...]  # `lines_of_equal_power` of what the projection leaves of the right-hand side
 
 
 class Projected(NamedTuple):
-    """A projection.
+    """A projection."""
 
-    Attributes
-    ----------
-    change : (r,) array
-        Of the coefficients, from those of the likelihood.
-    covariance : (r, r) array
-        Which that change has for what it leaves of the right-hand side; zero where batches are too few.
-    freedom : float
-        Degrees of freedom of that covariance.
-    share : float
-        Root mean square of what is left, over the target's standard deviation.
-    """
-
-    change: Floats
+    change: Floats  # (r,), of the coefficients, from those of the likelihood
+    # (r, r), which that change has for what it leaves of the right-hand side; zero where batches are too few
     covariance: Floats
-    freedom: float
-    share: float
+    freedom: float  # degrees of freedom of that covariance
+    share: float  # root mean square of what is left, over the target's standard deviation
 
 
 def leftover(
@@ -76,16 +53,9 @@ def leftover(
 ) -> Leftover:
     """Sums over batches, which do not cross records.
 
-    Parameters
-    ----------
-    columns : sequence of (n, r) arrays
-        Terms along the smoothed path of each record, the constant among them if it is in the equation.
-    discrepancies : sequence of (n,) arrays
-        Smoothed.
-    intervals : sequence of (n - 1,) arrays
-        Between samples [s]: a sample counts by the time around it.
-    target : float
-        Variance of the target.
+    Columns, (n, r) each, are the terms along the smoothed path of each record, the constant among them if it is in the
+    equation; discrepancies, (n,) each, are smoothed. A sample counts by the time around it, from the intervals [s].
+    `target` is the variance of the target.
     """
     weights = [time_around(one) for one in intervals]
     whole = sum((w[:, None] * D).T @ D for w, D in zip(weights, columns, strict=True))
@@ -119,15 +89,7 @@ def batched(columns: Floats, discrepancies: Floats, weights: Floats, count: int)
 
 
 def projected(left: Leftover, basis: Floats) -> Projected:
-    """The projection on coefficients that move with some free ones.
-
-    Parameters
-    ----------
-    left : Leftover
-        Sums.
-    basis : (r, f) array
-        How the coefficients move with those that are free; the identity where all are.
-    """
+    """The projection on coefficients that move with some free ones as `basis`, (r, f), says."""
     A = basis.T @ left.products.sum(axis=0) @ basis
     pull = basis.T @ left.pulls.sum(axis=0)
     r, batches = len(basis), len(left.pulls)

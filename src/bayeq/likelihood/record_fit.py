@@ -49,36 +49,18 @@ SOME, READ = 0.05**2, 2.0
 
 @dataclass(frozen=True, eq=False)
 class RecordFit:
-    """The fit of all equations of a system to its records.
+    """The fit of all equations of a system to its records."""
 
-    Attributes
-    ----------
-    task : Task
-        What was to be explained.
-    fitted : Fitted
-        A model, and the likelihood about it: at first of the included coefficients.
-    posterior : Posterior
-        Over the models of all equations, in units of the coefficients' priors.
-    nearly : Nearly
-        How nearly true the equations are.
-    likeliest : float
-        Evidence of the likeliest model that was fitted: the posterior is about that one.
-    own : bool
-        Whether the likelihood is that about the model; of one that could not be fitted it is that about another.
-    more : (bool array, Block) or None
-        A model, and the sums over all rows about it, where the series are some of them.
-    forms : mapping of str to mapping of str to float
-        Of each either-or, the log posteriors of its members.
-    """
-
-    task: Task
-    fitted: Fitted
-    posterior: Posterior
-    nearly: Nearly
-    likeliest: float = -np.inf
+    task: Task  # what was to be explained
+    fitted: Fitted  # a model, and the likelihood about it: at first of the included coefficients
+    posterior: Posterior  # over the models of all equations, in units of the coefficients' priors
+    nearly: Nearly  # how nearly true the equations are
+    likeliest: float = -np.inf  # evidence of the likeliest model that was fitted: the posterior is about that one
+    # whether the likelihood is that about the model; of one that could not be fitted it is that about another
     own: bool = True
+    # a model, and the sums over all rows about it, where the series are some of them
     more: tuple[Bools, Block] | None = None
-    forms: Forms = field(default_factory=dict)
+    forms: Forms = field(default_factory=dict)  # of each either-or, the log posteriors of its members
 
     @classmethod
     def of(cls, task: Task, fitted: Fitted) -> RecordFit:
@@ -112,14 +94,7 @@ class RecordFit:
     def of_more(self, task: Task, state: State, quadratic: Quadratic, block: Block) -> RecordFit:
         """What the likelihood of more rows, about a fit to some of them, tells.
 
-        Parameters
-        ----------
-        task, state : Task, State
-            The fit, with levels of all rows.
-        quadratic : Quadratic
-            The likelihood of all of them there.
-        block : Block
-            Of all of them.
+        The state has levels of all rows; the quadratic is their likelihood there, and the block is of all of them.
         """
         task = replace(task, series=self.task.series, counted=block.samples)
         state = replace(state, paths=self.fitted.state.paths)
@@ -431,8 +406,8 @@ def fit_record(
         With time, smoothed.
     terms : sequence of Expression
         The P candidates.
-    log_odds : (P + 1,) or (C, P + 1) array
-        Of each candidate, and of the constant, not being zero; of all equations or of each.
+    log_odds : (C, P + 1) array
+        Of each candidate, and of the constant, not being zero.
     grams : sequence of Gram
         Of the smoothed rows, one per equation.
     tolerance : float, optional
@@ -452,7 +427,7 @@ def fit_record(
     """
     with np.errstate(all="ignore"), suppress(np.linalg.LinAlgError):
         some, places = _stretches(motion)
-        log_odds = first_members(some, terms, np.broadcast_to(log_odds, (len(motion.roles.chains), len(terms) + 1)))
+        log_odds = first_members(some, terms, log_odds)
         starts = []
         for start, own in [(motion, grams), *others]:
             with suppress(np.linalg.LinAlgError):
@@ -491,29 +466,17 @@ def _fitted(
 
 def learned_lags(
     motion: Motion, terms: Sequence[Expression], log_odds: Floats, grams: Sequence[Gram]
-) -> tuple[Mapping[str, Lag], float] | None:
+) -> tuple[Mapping[str, Lag], float]:
     """Lags of channels, as a first fit of a dictionary to the training rows of some motion finds them.
 
-    Parameters
-    ----------
-    motion, terms, log_odds, grams
-        As for `fit_record`.
-
-    Returns
-    -------
-    (mapping of str to Lag, float) or None
-        The lags; and how far the farthest is from what has been taken out, in standard deviations. None where the
-        likelihood cannot be evaluated.
+    Also how far the farthest is from what has been taken out, in standard deviations. Arguments are as for
+    `fit_record`; a LinAlgError says that the likelihood cannot be evaluated.
     """
     with np.errstate(all="ignore"):
         some, _ = _stretches(motion)
-        log_odds = np.broadcast_to(log_odds, (len(motion.roles.chains), len(terms) + 1))
         task, states = start_from(some, terms, grams, first_members(some, terms, log_odds), None)
-        try:
-            task, fitted = from_starts(task, states)
-            lags = lags_of(task, finished(task, fitted).state)
-        except np.linalg.LinAlgError:
-            return None
+        task, fitted = from_starts(task, states)
+        lags = lags_of(task, finished(task, fitted).state)
     before = motion.sensors.lags
     return lags, max((abs(one.value - before[name].value) / one.sd for name, one in lags.items()), default=0.0)
 
@@ -524,21 +487,8 @@ def refit_record(
     """Fit all rows of some motion, starting from what was found on the first rows of each record.
 
     Where that leaves more of a discrepancy, by more than two standard errors, the search begins once more without it,
-    and the likelier answer is taken.
-
-    Parameters
-    ----------
-    motion : Motion
-        With all rows for training.
-    former : RecordFit
-        Of the same records with rows held out.
-    terms, grams
-        As for `fit_record`, of all rows.
-
-    Returns
-    -------
-    RecordFit or None
-        None where the likelihood cannot be evaluated.
+    and the likelier answer is taken. Terms and Grams are those of `fit_record`, of all rows. None where the likelihood
+    cannot be evaluated.
     """
     try:
         with np.errstate(all="ignore"):

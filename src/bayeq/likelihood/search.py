@@ -179,13 +179,9 @@ def from_starts(
 ) -> tuple[Task, Fitted]:
     """The likeliest fit that starts lead to, from the next one too where those before left a discrepancy.
 
-    A start may be what gives it, or None, when it is needed. The first model is on the way if it leaves none, unless
-    it is to be finished too; a model that starts lead to again is not fitted again.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        No start leads to a likelihood that can be evaluated.
+    A start may be what gives it, or None, when it is needed. The first model is on the way if it leaves none, unless it
+    is to be finished too; a model that starts lead to again is not fitted again. A LinAlgError says that no start leads
+    to a likelihood that can be evaluated.
     """
     settled: dict[bytes, tuple[Task, Fitted]] = {}
     for one in starts:

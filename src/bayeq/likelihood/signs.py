@@ -48,15 +48,7 @@ def _jump(node: Node) -> Call | None:
 
 
 def mean_of_jumps(node: Node, blur: Mapping[Node, Node]) -> Node:
-    """A term with the mean of each jump in `blur`, which has the error of the argument.
-
-    Parameters
-    ----------
-    node : Node
-        The term.
-    blur : mapping of Node to Node
-        By what `jumps_of` gives.
-    """
+    """A term with the mean of each jump in `blur`, which has the error of its argument by what `jumps_of` gives."""
 
     def mean(jump: Call) -> Node | None:
         width = blur.get(jump)
@@ -127,14 +119,7 @@ def middle_of_jump(term: Expression, jump: Call, evaluate: Evaluator) -> Floats 
 def unresolved_share(jump: Call, evaluate: Evaluator, width: Floats, error: Floats) -> Floats:
     """Mean square of what the mean of a jump is off, in units of the square of its half.
 
-    Parameters
-    ----------
-    jump : Call
-        From `jumps_of`.
-    evaluate : Evaluator
-        Of states and inputs.
-    width, error : (n,) arrays
-        Over which the mean was taken, and of the path alone.
+    The mean was taken over `width`, (n,); `error`, (n,), is that of the path alone.
     """
     values = SLOPE * evaluate(Expression(_sides(jump)[2]))
     taken, true = np.tanh(values / width), np.tanh(values / error)

@@ -34,13 +34,12 @@ from bayeq.likelihood.fit import (
     coefficients,
     corrections,
     information,
-    marginal,
     solved,
 )
 from bayeq.likelihood.layout import Candidates, Layout
 from bayeq.likelihood.model import Fitted, Task, calmed, fit, over_all_sizes, with_model
 from bayeq.likelihood.search import MOST_TO_MOVE
-from bayeq.likelihood.unknowns import moved, tangents_of
+from bayeq.likelihood.unknowns import extended, moved, tangents_of
 from bayeq.numerics.settings import LIKELIHOOD
 
 Sizes = tuple[float, ...]
@@ -66,17 +65,10 @@ NEGLIGIBLE = 10.0
 
 @dataclass(frozen=True, eq=False)
 class Nearly:
-    """How nearly true the equations are.
+    """How nearly true the equations are."""
 
-    Attributes
-    ----------
-    tau : tuple of float
-        The most probable size of each equation's function, as a share of the target's standard deviation.
-    exact : tuple of float
-        The probability that there is none, or none larger than the tolerance; NaN where it is not known.
-    """
-
-    tau: Sizes
+    tau: Sizes  # the most probable size of each equation's function, as a share of the target's standard deviation
+    # the probability that there is none, or none larger than the tolerance; NaN where it is not known
     exact: tuple[float, ...]
 
     @classmethod
@@ -94,19 +86,10 @@ def root_of(A: Floats) -> Floats:
 
 
 def softened(q: Quadratic, root: Floats, spread: Floats) -> Quadratic:
-    """The likelihood about some coefficients with deviations N(0, S S') integrated out.
+    """The likelihood about p coefficients with deviations N(0, S S') integrated out, S = `spread`, (p, K).
 
     With F'S = U diag(s) V' the information is F (I - U U') F' + F U diag(1/(1 + s^2)) U' F': the difference
-    A - A S (I + S'A S)^-1 S'A, which it equals, is lost in rounding where the noise is little.
-
-    Parameters
-    ----------
-    q : Quadratic
-        Of p coefficients.
-    root : (p, r) array
-        F, the root of its information.
-    spread : (p, K) array
-        S.
+    A - A S (I + S'A S)^-1 S'A, which it equals, is lost in rounding where the noise is little; F, (p, r), is its root.
     """
     U, s, _ = np.linalg.svd(root.T @ spread, full_matrices=False)
     left, inside = 1.0 / (1.0 + s**2), root @ U
@@ -123,16 +106,8 @@ def softened(q: Quadratic, root: Floats, spread: Floats) -> Quadratic:
 def isotropic(columns: Floats, moved: Sequence[Floats], deviation: float) -> Floats:
     """R, (p, K), of functions of columns in units of coefficients' priors: of root mean square `deviation`, all alike.
 
-    A function that changes more where the states are uncertain than along the path cannot be told from their noise.
-
-    Parameters
-    ----------
-    columns : (n, p) array
-        Along the path.
-    moved : sequence of (n, p) arrays
-        What they change by where the states are uncertain.
-    deviation : float
-        Standard deviation of the target.
+    Columns, (n, p), are along the path, `moved` what they change by where the states are uncertain: a function that
+    changes more there than along the path cannot be told from their noise. `deviation` is the target's.
     """
     unit = np.sqrt(len(columns)) * deviation
     _, size, axes = np.linalg.svd(np.linalg.qr(np.vstack([columns, *moved]), mode="r") / unit, full_matrices=False)
@@ -178,27 +153,13 @@ def hidden_terms(layout: Layout, fewest: int) -> tuple[Expression, ...]:
 
 
 class Freed(NamedTuple):
-    """What a term of a model changes by with one of its constants.
+    """What a term of a model changes by with one of its constants."""
 
-    Attributes
-    ----------
-    name : str
-        Of the constant.
-    of : (int, int)
-        Numbers of the equation and of the term.
-    change : Expression
-        By a unit on the scale of the constant.
-    column : int
-        Of the change, among all candidates of an equation.
-    deviation : float
-        Standard deviation of the constant's prior.
-    """
-
-    name: str
-    of: tuple[int, int]
-    change: Expression
-    column: int
-    deviation: float
+    name: str  # of the constant
+    of: tuple[int, int]  # numbers of the equation and of the term
+    change: Expression  # by a unit on the scale of the constant
+    column: int  # of the change, among all candidates of an equation
+    deviation: float  # standard deviation of the constant's prior
 
 
 def freed(layout: Layout, state: State, first: int) -> list[Freed]:
@@ -216,29 +177,16 @@ class Soft:
     """The likelihood of all candidates about a fit, beside functions of some size in each equation.
 
     Where an equation has few candidates the functions are of hidden ones as well, which no model has.
-
-    Attributes
-    ----------
-    task, fitted : Task, Fitted
-        The fit.
-    visible : (C (P + 1),) int array
-        The candidates' numbers among all, hidden ones too.
-    whole : Quadratic
-        The likelihood of all, its level that of the fit.
-    about : array
-        All coefficients of the fit.
-    spreads : list of (p, K) arrays
-        S of functions of size 1 in each equation: deviations of all coefficients are N(0, tau^2 S S').
-    constants : sequence of Freed
-        What constants inside the fit's terms may move by: a model of these terms has it integrated out.
     """
 
-    task: Task
+    task: Task  # the fit
     fitted: Fitted
-    visible: NDArray[np.intp]
-    whole: Quadratic
-    about: Floats
+    visible: NDArray[np.intp]  # (C (P + 1),), the candidates' numbers among all, hidden ones too
+    whole: Quadratic  # the likelihood of all, its level that of the fit
+    about: Floats  # all coefficients of the fit
+    # (p, K), S of functions of size 1 in each equation: deviations of all coefficients are N(0, tau^2 S S')
     spreads: list[Floats]
+    # what constants inside the fit's terms may move by: a model of these terms has it integrated out
     constants: Sequence[Freed] = ()
     likeliest: dict[Sizes, float] = field(default_factory=dict)
     sets: dict[Sizes, ModelSet] = field(default_factory=dict)
@@ -249,24 +197,16 @@ class Soft:
         """From a fit."""
         layout, state = task.layout, fitted.state
         allowed = task.log_odds.reshape(layout.chains, -1) > -np.inf
-        P, precision = len(layout.terms), task.precision_of(state)
-        constants: Sequence[Freed] = ()
+        P, constants = len(layout.terms), list[Freed]()
+        hidden: Sequence[Expression] = ()
         if task.counted is None:
             hidden = hidden_terms(layout, int(allowed[~state.levels.stated, :-1].sum(axis=1).min()))
             constants = freed(layout, state, P + len(hidden))
-            layout = replace(layout, terms=(*layout.terms, *hidden, *(one.change for one in constants)))
+        own, state = extended(task, state, [*hidden, *(one.change for one in constants)])
+        layout, functions = own.layout, np.arange(P, P + len(hidden))
         width = len(layout.terms) + 1
-        functions = np.arange(P, width - 1 - len(constants))
         column = np.append(np.arange(P), width - 1)
-        state = replace(state, chosen=state.chosen._replace(term=column[state.chosen.term]))
-        stated = [one._replace(parts=tuple((c, int(column[j]), w) for c, j, w in one.parts)) for one in layout.stated]
-        layout = replace(layout, stated=tuple(stated))
-        # the widths of further jumps are not known
-        blurs = state.blurs if layout.jumps == state.levels.layout.jumps else ()
-        state = replace(state, levels=replace(state.levels, layout=layout), blurs=blurs)
-        own = replace(task, layout=layout, recent=[])
-        linears = own.linearised(state)
-        found = marginal(linears, state, state.levels, precision)
+        linears, found = own.linearised(state), own.marginal(state)
         smoothed = adjoints(linears, state.levels, found, found.delta, curved=True, smoothed=True)
         curved = corrections(layout, linears, smoothed)
         whole = fitted.quadratic

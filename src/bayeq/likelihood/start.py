@@ -59,27 +59,8 @@ def start_from(
 ) -> tuple[Task, tuple[State, ...]]:
     """What is to be explained by a dictionary in the training rows of some motion, and where fits start.
 
-    Parameters
-    ----------
-    motion : Motion
-        With time.
-    terms : sequence of Expression
-        The P candidates.
-    grams : sequence of Gram
-        Of the smoothed rows, one per equation.
-    log_odds : (C, P + 1) array
-        Of each candidate, and of the constant, not being zero.
-    tolerance : float or None
-        See `bayeq.discover`.
-    stated : tuple of Stated
-        What is known of coefficients before.
-    conserved : mapping of int to float, optional
-        As for `bayeq.likelihood.record_fit.fit_record`.
-
-    Returns
-    -------
-    Task, (State, State)
-        The states are the regression of the smoothed rows, and the motion without any term.
+    Arguments are as for `bayeq.likelihood.record_fit.fit_record`. The states are the regression of the smoothed rows,
+    and the motion without any term.
     """
     roles, pieces = motion.roles, motion.train
     known = _known_noise(motion)
@@ -89,7 +70,8 @@ def start_from(
     layout = replace(layout, late=tuple((i, lags[name]) for i, (name, _) in enumerate(layout.channels) if name in lags))
     series = tuple(_series(layout, rows) for rows in pieces)
     paths = tuple(_path(layout, rows, [one.paths[i] for one in inputs]) for i, rows in enumerate(pieces))
-    series = in_proportion(layout, motion.sensors, series, _readings(layout, pieces))
+    readings = [np.column_stack([rows.columns[name] for name, _ in layout.channels]) for rows in pieces]
+    series = in_proportion(layout, motion.sensors, series, readings)
     targets = _targets(roles, pieces)
     scales = _scales(layout, paths, targets.var(axis=0), series, _interval([one.intervals for one in series]))
     noise = FIRST_NOISE * scales.channels
@@ -159,19 +141,8 @@ def _set_known(noise: Floats, layout: Layout, scales: Scales, known: Mapping[str
 def start_of_runs(motion: Motion, terms: Sequence[Expression], course: Course) -> tuple[Task, State]:
     """Where free runs of equations start: inputs are exact and of one course, and there is hardly a discrepancy.
 
-    Parameters
-    ----------
-    motion : Motion
-        With time; of its training rows.
-    terms : sequence of Expression
-        Those of all equations.
-    course : str
-        Of the inputs between samples.
-
-    Returns
-    -------
-    Task, State
-        The state is that of the smoothed motion, without any term.
+    The terms are those of all equations; the state is that of the smoothed motion in its training rows, without any
+    term.
     """
     roles, count = motion.roles, len(motion.roles.inputs)
     bare = Layout(
@@ -296,16 +267,9 @@ def _with_others(motion: Motion, task: Task, state: State, inputs: Sequence[_Inp
 
 
 def carried_over(motion: Motion, task: Task, fitted: Fitted, places: Sequence[tuple[int, int]]) -> tuple[Task, State]:
-    """The task on more rows, and a fit of some of them as its start.
+    """The task on the training rows of some motion, and a fit of some of them as its start.
 
-    Parameters
-    ----------
-    motion : Motion
-        The records whose training rows are to be explained.
-    task, fitted : Task, Fitted
-        What explains some of them.
-    places : sequence of (int, int)
-        The record that each path of the fit belongs to, and its first row there.
+    Places are the record that each path of the fit belongs to, and its first row there.
     """
     series, paths = series_and_paths(task.layout, motion.train)
     for path, (record, first) in zip(fitted.state.paths, places, strict=True):
@@ -318,11 +282,6 @@ def series_and_paths(layout: Layout, pieces: Sequence[MotionRows]) -> tuple[tupl
     """Samples of some rows, and the smoothed motion as their paths."""
     paths = tuple(_path(layout, rows, [rows.columns[name][:, None] for name in layout.roles.inputs]) for rows in pieces)
     return tuple(_series(layout, rows) for rows in pieces), paths
-
-
-def _readings(layout: Layout, pieces: Sequence[MotionRows]) -> list[Floats]:
-    """What the channels measure by the smoothed motion, (n, M) of every record."""
-    return [np.column_stack([rows.columns[name] for name, _ in layout.channels]) for rows in pieces]
 
 
 def _series(layout: Layout, rows: MotionRows) -> Series:

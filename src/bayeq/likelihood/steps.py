@@ -25,54 +25,23 @@ SMALL = LARGE // 4
 
 
 class Steps(NamedTuple):
-    """What is integrated from each sample to the next.
+    """What is integrated from each sample to the next."""
 
-    Attributes
-    ----------
-    program : Program
-        Rates of the states, the targets and the terms of the model, in states, inputs and coefficients.
-    basis : Program
-        The candidates and the constant, in states and inputs.
-    inputs : (n, m, 4) array
-        Those of the `Series`, then the widths of jumps.
-    bends : (n, L, 2) array
-        As in `Series`.
-    driven : (L,) int array
-        See `Layout.driven`.
-    intervals : (n - 1,) array
-        Between samples [s].
-    substeps : (n - 1,) int array
-        Runge-Kutta steps of each interval.
-    last : (C,) int array
-        See `Layout.last`.
-    factors : (C,) array
-        Rate of that state for a target of 1; 0 of static laws, whose targets are not integrated.
-    motion : int
-        Number of states that are derivatives of chains: the first ones, which alone depend on coefficients.
-    rising : (S,) bool array
-        Whether the rate of a state behind them is the next one, and not 0.
-    straight : (S,) int array
-        How a state behind them goes from one sample to the next: `SMOOTH`, `STRAIGHT` or `HELD`.
-    implicit : bool
-        Whether terms hold targets: then the program gives these without discrepancies, and (I - A)^-1, at last.
-    discrete : bool
-        Whether the program gives next values in place of rates: nothing is integrated.
-    """
-
-    program: Program
-    basis: Program
-    inputs: Floats
-    bends: Floats
-    driven: Ints
-    intervals: Floats
-    substeps: Ints
-    last: Ints
-    factors: Floats
-    motion: int
-    rising: NDArray[np.bool_]
-    straight: Ints
+    program: Program  # rates of the states, the targets and the terms of the model, in states, inputs and coefficients
+    basis: Program  # the candidates and the constant, in states and inputs
+    inputs: Floats  # (n, m, 4), those of the `Series`, then the widths of jumps
+    bends: Floats  # (n, L, 2), as in `Series`
+    driven: Ints  # (L,), see `Layout.driven`
+    intervals: Floats  # (n - 1,), between samples [s]
+    substeps: Ints  # (n - 1,), Runge-Kutta steps of each interval
+    last: Ints  # (C,), see `Layout.last`
+    factors: Floats  # (C,), rate of that state for a target of 1; 0 of static laws, whose targets are not integrated
+    motion: int  # number of states that are derivatives of chains: the first ones, which alone depend on coefficients
+    rising: NDArray[np.bool_]  # (S,), whether the rate of a state behind them is the next one, and not 0
+    straight: Ints  # (S,), how a state behind them goes from one sample to the next: `SMOOTH`, `STRAIGHT` or `HELD`
+    # whether terms hold targets: then the program gives these without discrepancies, and (I - A)^-1, at last
     implicit: bool
-    discrete: bool
+    discrete: bool  # whether the program gives next values in place of rates: nothing is integrated
 
     def fresh(self) -> Steps:
         """The steps with registers of their own."""
@@ -313,19 +282,11 @@ TIED = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Flows:
-    """Flows, term by term of every pair of the states of a sum, and the coefficients of other equations.
+    """Flows, term by term of every pair of the states of a sum, and the coefficients of other equations."""
 
-    Attributes
-    ----------
-    weights : mapping of int to float
-        Factor of each state in the sum, by the number of its equation.
-    chains, width : int
-        C equations of P + 1 candidates, the constant among them.
-    """
-
-    weights: Mapping[int, float]
-    chains: int
-    width: int
+    weights: Mapping[int, float]  # factor of each state in the sum, by the number of its equation
+    chains: int  # C, the number of equations
+    width: int  # P + 1, the number of candidates of each, the constant among them
 
     @cached_property
     def pairs(self) -> list[tuple[int, int]]:

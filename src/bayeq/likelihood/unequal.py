@@ -35,18 +35,10 @@ ROUNDS, STEPS, SETTLED = 8, 50, 1e-3
 
 
 class Tails(NamedTuple):
-    """A t distribution.
+    """A t distribution."""
 
-    Attributes
-    ----------
-    freedom : float
-        Degrees of freedom; infinite of Gaussian noise.
-    variance : float
-        Square of its scale.
-    """
-
-    freedom: float
-    variance: float
+    freedom: float  # degrees of freedom; infinite of Gaussian noise
+    variance: float  # square of its scale
 
     def spread(self, squares: Floats) -> Floats:
         """Variance of each sample as a multiple of `variance`, given the squares of the errors."""

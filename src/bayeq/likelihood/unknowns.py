@@ -45,7 +45,6 @@ from bayeq.likelihood.fit import (
     corrections,
     improved,
     information,
-    marginal,
     maximised,
 )
 from bayeq.likelihood.layout import Candidates, Layout
@@ -80,10 +79,7 @@ STEP = 1e-4
 def first_values(terms: Sequence[Expression], motion: Motion, allowed: Bools) -> tuple[Expression, ...]:
     """Terms with values of their constants that explain most of the smoothed rows beside the other terms.
 
-    Raises
-    ------
-    InputError
-        A range that has to be written.
+    An InputError says that a range has to be written.
     """
     found = tuple(terms)
     if not any(term.unknowns for term in terms):
@@ -114,17 +110,8 @@ def first_members(motion: Motion, terms: Sequence[Expression], log_odds: Floats)
 def with_constants(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fitted, Forms]:
     """A fit with its constants where they are likeliest, and the likeliest members of its choices.
 
-    Parameters
-    ----------
-    motion : Motion
-        Whose training rows are fitted.
-    task, fitted : Task, Fitted
-        With some values of the constants.
-
-    Returns
-    -------
-    (Task, Fitted, Forms)
-        The task with terms of these values, and odds that know how wide their ranges are.
+    The task then has terms of these values, and odds that know how wide their ranges are; the forms are the log
+    posteriors of the members.
     """
     terms = task.layout.terms
     choices = _choices(terms)
@@ -276,9 +263,8 @@ def _beside(
     Those of the further terms, which come in groups as `each`, are as of these terms, by their variance.
     """
     layout, P = task.layout, len(task.layout.terms)
-    own, state = _extended(task, fitted.state, others)
-    linears = own.linearised(state)
-    found = marginal(linears, state, state.levels, own.precision_of(state))
+    own, state = extended(task, fitted.state, others)
+    linears, found = own.linearised(state), own.marginal(state)
     smoothed = adjoints(linears, state.levels, found, found.delta, curved=True)
     q = information(own.layout, linears, state, corrections(own.layout, linears, smoothed)).raised(fitted.power)
     like = np.tile(each, len(others) // len(each))
@@ -291,11 +277,12 @@ def _beside(
     return q, precision.ravel(), odds.ravel()
 
 
-def _extended(task: Task, state: State, others: Sequence[Expression]) -> tuple[Task, State]:
-    """The task with further terms behind its own, and a state of its own terms there; of precision it has none."""
-    layout = replace(task.layout, terms=(*task.layout.terms, *others))
-    P, width = len(task.layout.terms), len(layout.terms) + 1
+def extended(task: Task, state: State, others: Sequence[Expression]) -> tuple[Task, State]:
+    """The task with further terms behind its own, and a state of its own terms there; of precision they have none."""
+    layout, P, width = task.layout, len(task.layout.terms), len(task.layout.terms) + len(others) + 1
     column = np.append(np.arange(P), width - 1)
+    stated = [one._replace(parts=tuple((c, int(column[j]), w) for c, j, w in one.parts)) for one in layout.stated]
+    layout = replace(layout, terms=(*layout.terms, *others), stated=tuple(stated))
     precision = np.zeros((layout.chains, width))
     precision[:, column] = task.precision.reshape(layout.chains, -1)
     own = replace(task, layout=layout, precision=precision.ravel(), log_odds=np.zeros(precision.size), recent=[])
@@ -306,8 +293,7 @@ def _extended(task: Task, state: State, others: Sequence[Expression]) -> tuple[T
 def _fresh(state: State, layout: Layout) -> State:
     """The state for terms with other values: the widths of their jumps are not known if these are others."""
     same = layout.jumps == state.levels.layout.jumps
-    levels = replace(state.levels, layout=replace(state.levels.layout, terms=layout.terms))
-    return replace(state, levels=levels, blurs=state.blurs if same else ())
+    return replace(state, levels=replace(state.levels, layout=layout), blurs=state.blurs if same else ())
 
 
 class _Tangent(NamedTuple):
@@ -352,19 +338,17 @@ def _bounded(constant: Unknown, place: float) -> float:
     return to_plain(constant, min(max(place, low), high))
 
 
-def _with_tangents(task: Task, state: State) -> tuple[Task, State, list[_Tangent], Floats]:
-    """The task and a state with the constants of its model as further coefficients, and the precision of all."""
+def _with_tangents(task: Task, state: State) -> tuple[Task, State, list[_Tangent]]:
+    """The task and a state with the constants of its model as further coefficients."""
     tangents = tangents_of(task.layout, state.chosen, state.theta)
-    own, wide = _extended(task, state, [one.change for one in tangents])
-    count = len(tangents)
-    chosen = Candidates(
-        np.append(wide.chosen.chain, [one.chain for one in tangents]).astype(np.int64),
-        np.append(wide.chosen.term, len(task.layout.terms) + np.arange(count)).astype(np.int64),
+    own, wide = extended(task, state, [one.change for one in tangents])
+    count, constants = len(tangents), constants_of(task.layout.terms)
+    further = Candidates(
+        np.array([one.chain for one in tangents], dtype=np.int64), len(task.layout.terms) + np.arange(count)
     )
-    constants = constants_of(task.layout.terms)
-    known = [12.0 / extent(constants[one.name]) ** 2 for one in tangents]
-    wide = replace(wide, chosen=chosen, theta=np.append(wide.theta, np.zeros(count)))
-    return own, wide, tangents, np.append(task.precision_of(state), known)
+    own.precision[own.number(further)] = [12.0 / extent(constants[one.name]) ** 2 for one in tangents]
+    chosen = Candidates(*(np.append(*both) for both in zip(wide.chosen, further, strict=True)))
+    return own, replace(wide, chosen=chosen, theta=np.append(wide.theta, np.zeros(count))), tangents
 
 
 def moved(task: Task, fitted: Fitted, motion: Motion | None = None) -> tuple[Task, Fitted]:
@@ -396,10 +380,10 @@ def moved(task: Task, fitted: Fitted, motion: Motion | None = None) -> tuple[Tas
 
 def _step(task: Task, state: State) -> tuple[tuple[Task, State], float]:
     """A Gauss-Newton step of a fit and its constants; how far the farthest of these goes, in standard deviations."""
-    own, wide, tangents, precision = _with_tangents(task, state)
+    own, wide, tangents = _with_tangents(task, state)
     count = len(tangents)
     linears = own.linearised(wide)
-    levels, found = maximised(linears, wide, precision, **COARSE)
+    levels, found = maximised(linears, wide, own.precision_of(wide), **COARSE)
     wide, _ = improved(own.layout, task.series, linears, replace(wide, levels=levels), found)
     sd = np.sqrt(np.diagonal(found.covariance)[-count:])
     constants, farthest = constants_of(task.layout.terms), 0.0
@@ -437,9 +421,8 @@ def joint_covariance(task: Task, state: State, power: float = 1.0) -> tuple[Floa
 
     Both are of a power of the likelihood.
     """
-    own, wide, tangents, precision = _with_tangents(task, state)
-    found = marginal(own.linearised(wide), wide, wide.levels, precision, keep=False)
-    count = len(tangents)
+    own, wide, tangents = _with_tangents(task, state)
+    found, count = own.marginal(wide, keep=False), len(tangents)
     terms, estimates = task.layout.terms, []
     for name, constant in constants_of(terms).items():
         low, high, scale = constant.low, constant.high, is_scale(constant)

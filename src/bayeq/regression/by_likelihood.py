@@ -39,18 +39,10 @@ def regressions_of(design: Design, record: RecordFit | None) -> list[Regression]
 
 @dataclass(frozen=True, eq=False)
 class RecordRegression(Regression):
-    """The regression of one target by the likelihood of the records.
+    """The regression of one target by the likelihood of the records."""
 
-    Attributes
-    ----------
-    record : RecordFit
-        The likelihood.
-    power : float
-        That `gram` is raised to.
-    """
-
-    record: RecordFit
-    power: float = 1.0
+    record: RecordFit  # the likelihood
+    power: float = 1.0  # that `gram` is raised to
 
     counts_rows: ClassVar[bool] = False
 

@@ -37,20 +37,12 @@ _BOUND = "an inequality bounds one coefficient by numbers, as in 'v <= 0' or '0 
 
 @dataclass(frozen=True, eq=False)
 class Constraints:
-    """What is known of the coefficients of one equation.
+    """What is known of the coefficients of one equation."""
 
-    Attributes
-    ----------
-    equalities : Equalities
-        Linear equations between coefficients.
-    limits : (P, 2) array
-        Least and largest value of each coefficient, infinite where there is none; a sign is a limit of 0.
-    stated : tuple of (int, float, float)
-        Coefficients that are known about: the term, the mean and the standard deviation of a normal distribution.
-    """
-
-    equalities: Equalities
+    equalities: Equalities  # linear equations between coefficients
+    # (P, 2), least and largest value of each coefficient, infinite where there is none; a sign is a limit of 0
     limits: Floats
+    # coefficients that are known about: the term, the mean and the standard deviation of a normal distribution
     stated: tuple[tuple[int, float, float], ...] = ()
 
     @property
@@ -79,17 +71,9 @@ class Constraints:
         return np.where(bounded, self.limits, [-np.inf, np.inf]) if (bounded & np.isfinite(self.limits)).any() else None
 
     def among(self, allowed: NDArray[np.bool_]) -> Constraints:
-        """The same with the coefficients of other terms zero.
+        """The same with the coefficients of terms that are not `allowed`, (P,), zero.
 
-        Parameters
-        ----------
-        allowed : (P,) bool array
-            Terms that the equation may have.
-
-        Raises
-        ------
-        InputError
-            What is known contradicts that, or no term is left.
+        An InputError says that what is known contradicts that, or that no term is left.
         """
         if allowed.all():
             return self
@@ -115,17 +99,9 @@ class Constraints:
     def prior(self, prior: Prior, unit: Floats | float = 1.0) -> Prior:
         """A prior of all terms, with the limits, as one of the F terms that the equalities leave.
 
-        Parameters
-        ----------
-        prior : Prior
-            Its own bounds are in units of the regression.
-        unit : (F,) array or float
-            What a coefficient is multiplied by for its value in these units.
-
-        Raises
-        ------
-        InputError
-            Limits that contradict each other or the equalities, or that concern a sum of several coefficients.
+        A coefficient times `unit`, (F,), is its value in units of the regression, which bounds of the prior are in. An
+        InputError refuses limits that contradict each other or the equalities, or that concern a sum of several
+        coefficients.
         """
         names, kept = self.equalities.names, self.equalities.kept
         prior.validate(len(names))
@@ -289,15 +265,8 @@ def parse_ties(
 ) -> tuple[tuple[str, tuple[tuple[int, int, float], ...], float], ...]:
     """Read ties between the coefficients of several equations, ``"a1: x1-x2 == 2*(a2: x2-x1)"``.
 
-    Returns
-    -------
-    tuple of (str, tuple of (int, int, float), float)
-        The text; equation, term and factor of each coefficient, and what their sum is.
-
-    Raises
-    ------
-    InputError
-        Malformed text, or a term that is not a candidate.
+    Of each the text; equation, term and factor of each coefficient; and what their sum is. An InputError refuses
+    malformed text, or a term that is not a candidate.
     """
     texts = [texts] if isinstance(texts, str) else list(texts)
     reader, out = _Reader(terms, {}), []
@@ -324,10 +293,7 @@ def parse_ties(
 def parse_conserved(text: str, chains: Sequence[Chain]) -> dict[int, float]:
     """Read a sum of states that is conserved, ``"S + I + R"`` or ``"2*S + I"``: factors by the number of the equation.
 
-    Raises
-    ------
-    InputError
-        Malformed text, or a state that is not the only one of its chain.
+    An InputError refuses malformed text, or a state that is not the only one of its chain.
     """
     where, states = f"conserve {text!r}", [chain.states[0] for chain in chains if chain.order == 1]
     linear = _Reader([parse(name, [name]) for name in states], {}, "state of first order").read(text, where)

@@ -70,35 +70,21 @@ class DroppedTerm:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Design:
-    """A dictionary on the rows of some motion.
+    """A dictionary on the rows of some motion."""
 
-    Attributes
-    ----------
-    motion : Motion
-        The rows.
-    terms : tuple of Expression
-        The P candidates that can be used.
-    train, held_out : tuple of Gram
-        Statistics of the training rows and of the rows held out for each target, as measured where it was; `held_out`
-        is empty if no rows are held out. Rows that were bridged do not count.
-    dropped : tuple of DroppedTerm
-        Candidates left out.
-    kept : tuple of (n, P) array
-        Columns on the training rows of each record; empty where there would be too many numbers.
-    allowed : (C, P) bool array
-        Candidates of each equation; the others are in the dictionaries of other equations only.
-    scan : callable, optional
-        Where the motion is of some rows only: takes the number of an equation, a posterior and what was found of its
-        residuals in these rows, and says what those of all rows are.
-    """
-
-    motion: Motion
-    terms: tuple[Expression, ...]
+    motion: Motion  # the rows
+    terms: tuple[Expression, ...]  # the P candidates that can be used
+    # statistics of the training rows and of the rows held out for each target, as measured where it was; `held_out` is
+    # empty if no rows are held out. Rows that were bridged do not count.
     train: tuple[Gram, ...]
     held_out: tuple[Gram, ...]
-    dropped: tuple[DroppedTerm, ...]
+    dropped: tuple[DroppedTerm, ...]  # candidates left out
+    # (n, P), columns on the training rows of each record; empty where there would be too many numbers
     kept: tuple[Floats, ...]
+    # (C, P), candidates of each equation; the others are in the dictionaries of other equations only
     allowed: Bools = field(default_factory=lambda: np.ones((1, 1), dtype=np.bool_))
+    # where the motion is of some rows only: takes the number of an equation, a posterior and what was found of its
+    # residuals in these rows, and says what those of all rows are
     scan: Callable[[int, Posterior, Residuals], Residuals] | None = None
 
     def __post_init__(self) -> None:
@@ -123,21 +109,8 @@ def build_design(
 ) -> Design:
     """Evaluate terms on motion and add up their Gram matrices.
 
-    Parameters
-    ----------
-    terms : sequence of Expression
-        Candidates.
-    motion : Motion
-        With the states and inputs that terms are made of.
-    progress : callable, optional
-        Called with (rows done, rows in all).
-    allowed : (C, P) bool array, optional
-        Candidates of each equation; by default all.
-
-    Raises
-    ------
-    InputError
-        No candidate can be used, or one cannot because of the unit of a channel.
+    `progress` is called with (rows done, rows in all); `allowed`, (C, P), are the candidates of each equation, by
+    default all. An InputError says that no candidate can be used, or that one cannot because of the unit of a channel.
     """
     builder = _Builder(terms, motion, progress)
     train = builder.grams(motion.train, keep=sum(rows.n for rows in motion.train) * len(terms) <= MOST_KEPT)
@@ -145,31 +118,16 @@ def build_design(
     if allowed is None:
         allowed = np.ones((len(motion.roles.chains), len(terms)), dtype=np.bool_)
     found = Design(motion, tuple(terms), train, held_out, (), tuple(builder.kept), allowed)
-    return usable_terms(found, train, held_out, builder.bad, builder.total)
+    return usable_terms(found, builder.bad, builder.total)
 
 
-def usable_terms(
-    design: Design, train: tuple[Gram, ...], held_out: tuple[Gram, ...], bad: NDArray[np.int64], rows: int
-) -> Design:
+def usable_terms(design: Design, bad: NDArray[np.int64], rows: int) -> Design:
     """A dictionary without the candidates that cannot be used.
 
-    Parameters
-    ----------
-    design : Design
-        All candidates.
-    train, held_out : tuple of Gram
-        Their statistics.
-    bad : (P,) int array
-        Rows in which each is not finite, or too large to square.
-    rows : int
-        Rows in all.
-
-    Raises
-    ------
-    InputError
-        No candidate can be used, or one cannot because of the unit of a channel.
+    `bad`, (P,), is the number of rows, of some in all, in which each is not finite, or too large to square. An
+    InputError says that no candidate can be used, or that one cannot because of the unit of a channel.
     """
-    terms, allowed = design.terms, design.allowed
+    terms, train, allowed = design.terms, design.train, design.allowed
     reasons = _reasons(train[0], bad, rows, allowed)
     size = np.abs(train[0].mean) + train[0].standard_deviation
     out_of_range = (bad > 0) | (size < SMALLEST) | _unwritable(train)
@@ -179,12 +137,12 @@ def usable_terms(
     if not len(kept):
         raise InputError(f"no usable term in the dictionary: {'; '.join(f'{d.name}: {d.reason}' for d in dropped[:5])}")
     if not dropped:
-        return replace(design, train=train, held_out=held_out)
+        return design
     return replace(
         design,
         terms=tuple(terms[j] for j in kept),
         train=tuple(gram.select(kept) for gram in train),
-        held_out=tuple(gram.select(kept) for gram in held_out),
+        held_out=tuple(gram.select(kept) for gram in design.held_out),
         dropped=dropped,
         kept=tuple(np.asfortranarray(columns[:, kept]) for columns in design.kept),
         allowed=allowed[:, kept],
@@ -271,25 +229,10 @@ def _reasons(gram: Gram, bad: NDArray[np.int64], rows: int, allowed: Bools) -> d
 
 
 def screened(terms: Sequence[Expression], motion: Motion, allowed: Bools, forced: Bools, most: int) -> NDArray[np.intp]:
-    """Candidates to keep.
+    """Numbers (K,) of the candidates to keep, in order.
 
-    Parameters
-    ----------
-    terms : sequence of Expression
-        The P candidates.
-    motion : Motion
-        States, targets and inputs.
-    allowed : (C, P) bool array
-        Candidates of each equation.
-    forced : (P,) bool array
-        Candidates that are kept whatever they explain.
-    most : int
-        How many to keep; each equation has an equal share.
-
-    Returns
-    -------
-    (K,) int array
-        Their numbers, in order.
+    Candidates of each equation are `allowed`, (C, P); those that are `forced`, (P,), are kept whatever they explain. Of
+    `most` to keep each equation has an equal share.
     """
     D, Y = _rows(terms, motion)
     kept = forced.copy()
@@ -303,20 +246,9 @@ def screened(terms: Sequence[Expression], motion: Motion, allowed: Bools, forced
 
 
 def explaining(D: Floats, y: Floats, free: Bools, basis: Floats, share: int) -> NDArray[np.intp]:
-    """The columns that explain most of what a basis leaves of y, taken in rounds.
+    """Numbers of the columns that explain most of what a basis leaves of y, taken in rounds.
 
-    Parameters
-    ----------
-    D : (n, P) array
-        Columns of length 1, or 0.
-    y : (n,) array
-        The target.
-    free : (P,) bool array
-        Columns to choose from.
-    basis : (n, q) array
-        Orthonormal columns.
-    share : int
-        How many.
+    `share` of the `free` columns of D, (n, P), each of length 1 or 0, are taken; the basis, (n, q), is orthonormal.
     """
     taken = np.zeros(0, dtype=np.intp)
     free, added, left = free.copy(), basis, y

@@ -28,15 +28,9 @@ def _sum(a: float, b: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Linear:
-    """A linear combination of coefficients and a constant.
+    """A linear combination of coefficients and a constant."""
 
-    Attributes
-    ----------
-    slopes : dict
-        Factor of each coefficient by its place in the dictionary, in the order of the text; none is 0.
-    constant : float
-    """
-
+    # factor of each coefficient by its place in the dictionary, in the order of the text; none is 0
     slopes: dict[int, float]
     constant: float
 
@@ -63,15 +57,6 @@ class Linear:
 class Equalities:
     """Solved linear equations theta_e = q + C theta_k.
 
-    Attributes
-    ----------
-    names : tuple of str
-        The P terms.
-    kept, eliminated : (F,), (E,) int arrays
-        Terms that inference is left with, and those that follow from them.
-    slopes, offsets : (E, F), (E,) arrays
-        C and q.
-
     Examples
     --------
     >>> half = Linear({0: 1.0, 1: -0.5}, 0.0)  # theta_0 - 0.5 theta_1 = 0
@@ -79,20 +64,14 @@ class Equalities:
     array([[0.5, 0. ]])
     """
 
-    names: tuple[str, ...]
-    kept: NDArray[np.intp]
-    eliminated: NDArray[np.intp]
-    slopes: Floats
-    offsets: Floats
+    names: tuple[str, ...]  # the P terms
+    kept: NDArray[np.intp]  # (F,), terms that inference is left with
+    eliminated: NDArray[np.intp]  # (E,), those that follow from them
+    slopes: Floats  # (E, F), C
+    offsets: Floats  # (E,), q
 
     def basis(self, support: Bools) -> Floats:
-        """How the r coefficients of some terms move with the free ones among them, (r, f).
-
-        Parameters
-        ----------
-        support : (P,) bool array
-            The terms.
-        """
+        """How the r coefficients of some terms, `support` (P,), move with the free ones among them, (r, f)."""
         return self._jacobian(support, support[self.kept])
 
     def offset(self, support: Bools) -> Floats:
@@ -109,10 +88,7 @@ class Equalities:
     def solving(cls, names: Sequence[str], equations: Sequence[tuple[Linear, str]]) -> Equalities:
         """Solve equations (a combination that is zero, and where it was stated), each for its first term if it can be.
 
-        Raises
-        ------
-        InputError
-            Equations that contradict each other, or that leave no term to find.
+        An InputError refuses equations that contradict each other, or that leave no term to find.
         """
         solved: dict[int, Linear] = {}
         for equation, where in equations:
@@ -170,17 +146,10 @@ class Equalities:
         )
 
     def expand(self, posterior: Posterior, gram: Gram) -> Posterior:
-        """The posterior of all P coefficients.
+        """The posterior of all P coefficients from that of the reduced regression; `gram` is the one before `reduce`.
 
         An eliminated term is in where a constant or one of the terms that it follows from is: so are its PIP (from the
         models averaged over or the draws; without them the largest PIP of those terms) and its place in the support.
-
-        Parameters
-        ----------
-        posterior : Posterior
-            Of the reduced regression, in original units.
-        gram : Gram
-            Before `reduce`.
         """
         if not len(self.eliminated):
             return posterior

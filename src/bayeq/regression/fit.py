@@ -31,27 +31,14 @@ from bayeq.regression.regression import Regression
 
 @dataclass(frozen=True, eq=False)
 class RegressionFit:
-    """A regression and what an engine found.
+    """A regression and what an engine found."""
 
-    Attributes
-    ----------
-    regression : Regression
-        Rows, in original units.
-    constraints : Constraints
-        What is known of the coefficients.
-    standard : Standardised
-        The Gram that the engine was given: equalities between coefficients taken out, standardised.
-    prior : Prior
-        On standardised columns, with the v_s that was used.
-    posterior : Posterior
-        The engine's, in units of `standard`.
-    """
-
-    regression: Regression
-    constraints: Constraints
+    regression: Regression  # rows, in original units
+    constraints: Constraints  # what is known of the coefficients
+    # the Gram that the engine was given: equalities between coefficients taken out, standardised
     standard: Standardised
-    prior: Prior
-    posterior: Posterior
+    prior: Prior  # on standardised columns, with the v_s that was used
+    posterior: Posterior  # the engine's, in units of `standard`
 
     @cached_property
     def problem(self) -> Problem:

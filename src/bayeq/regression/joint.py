@@ -76,18 +76,15 @@ def record_of(
 def lags_of_design(design: Design, dictionary: Specification, prior: Prior | None) -> tuple[Mapping[str, Lag], float]:
     """Lags of channels, see `bayeq.likelihood.record_fit.learned_lags`.
 
-    Raises
-    ------
-    InputError
-        The likelihood cannot be evaluated.
+    An InputError says that the likelihood cannot be evaluated.
     """
-    found = learned_lags(design.motion, design.terms, _log_odds(design, dictionary, prior), design.train)
-    if found is None:
+    try:
+        return learned_lags(design.motion, design.terms, _log_odds(design, dictionary, prior), design.train)
+    except np.linalg.LinAlgError:
         raise InputError(
             "lag_sd: lags are learned by the likelihood of the record, which could not be evaluated near its motion:"
             " give fewer terms, or smaller lags"
-        )
-    return found
+        ) from None
 
 
 def _log_odds(design: Design, dictionary: Specification, prior: Prior | None) -> Floats:
@@ -131,19 +128,13 @@ def fit_equations(
 ) -> list[RegressionFit]:
     """The posterior of every equation: of all together where the method and what is known allow it.
 
-    Parameters
-    ----------
-    regressions, constraints : sequences
-        One per equation.
-    method : str
-        A row of `bayeq.inference.engines.ENGINES`.
-    prior, coarsen, tolerance, seed
-        As for `bayeq.regression.fit.fit_regression`.
+    There is one regression, and one of the constraints, per equation. The method is a row of
+    `bayeq.inference.engines.ENGINES`; what follows is as for `bayeq.regression.fit.fit_regression`.
     """
     record = regressions[0].record if isinstance(regressions[0], RecordRegression) else None
     free = prior is None and coarsen == 1.0 and not any(one.binding for one in constraints)
     if record is not None and method in JOINT and free:
-        return fit_jointly(regressions, record, constraints, method)
+        return [_equation(one, record, own, method) for one, own in zip(regressions, constraints, strict=True)]
     engine, first = ENGINES[method], (seed,) if isinstance(seed, int) else seed
     equal = any(len(one.equalities.eliminated) for one in constraints)
     if record is not None and engine.spike_slab and prior is None and coarsen == 1.0 and not equal:
@@ -182,27 +173,6 @@ def refitted(fits: Sequence[RegressionFit], models: Sequence[Bools]) -> list[Reg
     ]
 
 
-def fit_jointly(
-    regressions: Sequence[Regression], record: RecordFit, constraints: Sequence[Constraints], method: str
-) -> list[RegressionFit]:
-    """The posterior of every equation.
-
-    Parameters
-    ----------
-    regressions : sequence of Regression
-        One per equation, from `record`.
-    record : RecordFit
-        The likelihood of the records.
-    constraints : sequence of Constraints
-        None of which binds: one per equation.
-    method : "auto" or "bma"
-        Whether variational Bayes adds an evidence lower bound.
-    """
-    return [
-        _equation(regression, record, own, method) for regression, own in zip(regressions, constraints, strict=True)
-    ]
-
-
 def _by_engine(
     regression: Regression, record: RecordFit, constraints: Constraints, method: str, seed: tuple[int, ...]
 ) -> RegressionFit:
@@ -220,6 +190,7 @@ def _by_engine(
 
 
 def _equation(regression: Regression, record: RecordFit, constraints: Constraints, method: str) -> RegressionFit:
+    """The posterior of one equation from that of all; variational Bayes adds a lower bound to "auto"."""
     k, joint = regression.k, record.posterior
     block = np.arange(record.block(k).start, record.block(k).stop)
     terms = block[:-1]

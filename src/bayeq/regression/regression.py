@@ -33,26 +33,15 @@ BANDS, HIGHEST, FLOOR, LEAST_ROWS = 40, 6, 0.1, 400
 
 @dataclass(frozen=True, eq=False)
 class Regression:
-    """The regression of one target on the dictionary; `bayeq.regression.by_likelihood` has that of the likelihood.
+    """The regression of one target on the dictionary; `bayeq.regression.by_likelihood` has that of the likelihood."""
 
-    Attributes
-    ----------
-    design : Design
-        The dictionary on the motion.
-    k : int
-        Number of the chain whose highest derivative is the target.
-    rows, held_out : Gram, Gram or None
-        Statistics that the equation is judged by: of the training rows and of those held out. Where the target was
-        estimated both sides went through the smoother.
-    gram : Gram
-        What counts as data.
-    """
-
-    design: Design
-    k: int
+    design: Design  # the dictionary on the motion
+    k: int  # number of the chain whose highest derivative is the target
+    # statistics that the equation is judged by: of the training rows and of those held out. Where the target was
+    # estimated both sides went through the smoother.
     rows: Gram
     held_out: Gram | None
-    gram: Gram
+    gram: Gram  # what counts as data
 
     # Whether rows count as data: the likelihood of the records counts samples.
     counts_rows: ClassVar[bool] = True
@@ -120,18 +109,10 @@ class Regression:
         return not shows_noise([rows.columns[name] for rows in self.motion.train])
 
     def reported(self, found: Posterior, basis: Floats, limits: Floats | None, free: bool) -> Posterior:
-        """A posterior in original units as it is reported.
+        """A posterior in original units, of all P terms with r in its support, as it is reported.
 
-        Parameters
-        ----------
-        found : Posterior
-            Of all P terms, r in its support.
-        basis : (r, f) array
-            How coefficients move with those that are free.
-        limits : (P, 2) array or None
-            Least and largest coefficients.
-        free : bool
-            Whether no limit changes the posterior.
+        Coefficients move with those that are free as `basis`, (r, f), says; limits, (P, 2), are the least and largest,
+        and `free` says that none of them changes the posterior.
         """
         return found
 

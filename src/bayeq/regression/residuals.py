@@ -250,14 +250,8 @@ def thinned_gram(gram: Gram, residuals: Callable[[Posterior], Residuals]) -> Gra
 
     The likelihood is raised to the power N_eff/N, which widens intervals and asks more evidence of a term. Found in
     turn, since a model of fewer terms leaves residuals that are more correlated. What a rejected model leaves, one that
-    explains less than half of the target, is the motion itself: no row is discounted by that.
-
-    Parameters
-    ----------
-    gram : Gram
-        Of all rows.
-    residuals : callable
-        Inspection of the residuals that a posterior leaves, in order of time.
+    explains less than half of the target, is the motion itself: no row is discounted by that. `residuals` inspects what
+    a posterior leaves, in order of time.
     """
     share = 1.0
     for _ in range(PILOTS):

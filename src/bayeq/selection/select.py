@@ -114,27 +114,16 @@ class Rules:
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """The terms that an equation shows.
+    """The terms that an equation shows."""
 
-    Attributes
-    ----------
-    fit : RegressionFit
-        What they were chosen from.
-    shown : Posterior
-        Given the terms shown, in units of `shown_fit.standard`; probabilities are those of `fit.posterior`.
-    why : mapping of str to str
-        Terms that are included or shown and not both, with the rule that decided.
-    own : RegressionFit, optional
-        What the coefficients shown come from, where the likelihood of the record is about them.
-    full : Selection, optional
-        That of the full model, where terms are left out within the tolerance.
-    """
-
-    fit: RegressionFit
+    fit: RegressionFit  # what they were chosen from
+    # given the terms shown, in units of `shown_fit.standard`; probabilities are those of `fit.posterior`
     shown: Posterior
+    # terms that are included or shown and not both, with the rule that decided
     why: Mapping[str, str] = field(default_factory=dict)
+    # what the coefficients shown come from, where the likelihood of the record is about them
     own: RegressionFit | None = None
-    full: Selection | None = None
+    full: Selection | None = None  # that of the full model, where terms are left out within the tolerance
 
     @property
     def shown_fit(self) -> RegressionFit:
@@ -271,20 +260,8 @@ def likeliest_instead(
 
     Collinear terms share their probability, so that none of several forms of damping may reach 0.5, however sure it is
     that there is damping. The average has it. So where the predictions or free runs of the included terms are further
-    from its than the tolerance, and those of the likeliest model less so, that is the one to show.
-
-    Parameters
-    ----------
-    fit : RegressionFit
-        Of equation k.
-    k : int
-        Its number.
-    found : sequence of Posterior
-        Of every equation given its included terms.
-    runs : FreeRuns or None
-        Of the system; None without time.
-    tolerance : float
-        How far from the average they may be.
+    from its than the tolerance, and those of the likeliest model less so, that is the one to show. `found` are the
+    posteriors of every equation given its included terms; `runs` are None without time.
     """
     included = found[k]
     if included.average is None or included.averaged_coef is None or not len(included.average.models):

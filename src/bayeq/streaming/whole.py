@@ -83,7 +83,7 @@ class Whole:
         train = from_moments(found.train.moments, names, targets)
         held = () if found.held_out.moments is None else from_moments(found.held_out.moments, names, targets)
         whole = Design(motion, terms, train, held, (), (), allowed)
-        whole = usable_terms(whole, train, held, found.train.bad + found.held_out.bad, self.n)
+        whole = usable_terms(whole, found.train.bad + found.held_out.bad, self.n)
         return replace(whole, scan=partial(self.residuals, work, whole))
 
     def record(self, former: RecordFit, motion: Motion, log: WarningLog) -> RecordFit:
