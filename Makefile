@@ -15,14 +15,17 @@ SOURCES := src tests perf examples studies docs/conf.py docs/_extensions
 # Studies that write every finished record to NAME.jsonl, and go on from there when they are started again.
 RECORD_STUDIES := states_only known_terms white_force coupled servo circuit adverse verdicts random_truths tracking forces band hidden maps conserved between sensitivity
 
-.PHONY: demo test lint types tests slow statistics coverage matrix bench study examples gallery site lock arviz notebooks tutorials app-pictures fuzz audit reliability clean
+.PHONY: demo test lint types kernels tests slow statistics coverage matrix bench study examples gallery site lock arviz notebooks tutorials app-pictures fuzz audit reliability clean
 
 demo: $(VENV)/.runtime
 	@mkdir -p demo
 	$(BIN)/bayeq simulate duffing --seed 1 -o demo/duffing.csv
 	$(BIN)/bayeq discover demo/duffing.csv --disp x --vel v --acc a --force u
 
-test: lint types tests
+# Kernels are compiled while types are checked.
+test: lint
+	$(MAKE) -j2 types kernels
+	$(MAKE) tests
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check $(SOURCES)
@@ -30,6 +33,9 @@ lint: $(VENV)/.dev
 
 types: $(VENV)/.dev
 	$(BIN)/mypy
+
+kernels: $(VENV)/.dev
+	$(BIN)/python -W ignore -c "import bayeq as bq; bq.discover(bq.simulate('duffing', n=300), chains='x:v:a', inputs=['u'])"
 
 # Every worker takes a half of the files, and what other workers have left: fixtures of a file are made once.
 tests: $(VENV)/.dev

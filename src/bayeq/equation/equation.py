@@ -299,9 +299,8 @@ class Equation:
         """95 % intervals over the models that hold a term, (P, 2), beside constants around those joint with these."""
         given = None if self.shown_posterior.averaged_coef is None else self.over_models.given_in
         given, own = self.shown_ci95 if given is None else given, self.shown_ci95
-        if self.shown_constants:
-            given = np.column_stack([np.minimum(given[:, 0], own[:, 0]), np.maximum(given[:, 1], own[:, 1])])
-        return given
+        around = np.column_stack([np.minimum(given[:, 0], own[:, 0]), np.maximum(given[:, 1], own[:, 1])])
+        return around if self.shown_constants else given
 
     @cached_property
     def printed_over_models(self) -> Bools:
