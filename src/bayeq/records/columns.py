@@ -193,7 +193,8 @@ class Columns:
             words = []  # refused by name
         found = cls.build(headers, values, lambda _: [i for i in rows if i not in words])
         names = ", ".join(repr(headers.texts[i]) for i in words)
-        doubt = f"{headers.where}: {names} hold{'s' * (len(words) == 1)} words, not numbers: left out"
+        hold = "holds" if len(words) == 1 else "hold"
+        doubt = f"{headers.where}: {names} {hold} words, not numbers: left out; give the columns to keep"
         return replace(found, doubts=(*found.doubts, doubt)) if words else found
 
 
