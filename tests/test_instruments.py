@@ -60,7 +60,8 @@ HEADERS = {
         {"Ch1": 0.5, "Drive": 0.01}, {"Ch1": "G", "Drive": "V"}, 6250,
     ),
     "matlab_writetable.csv": Header(
-        "layout after MATLAB's writetable: variable names, NaN", {"Displacement": 0.1, "Force_N": 5}, {}, 100,
+        "layout after MATLAB's writetable: variable names, NaN", {"Displacement": 0.1, "Force_N": 5},
+        {"Force_N": "N"}, 100,
     ),
     "matlab_csvwrite.csv": Header(
         "layout after MATLAB's csvwrite and writematrix: numbers alone", {"c1": 0, "c2": 0.1, "c3": 5}, {}, None,

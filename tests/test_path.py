@@ -15,7 +15,7 @@ from bayeq.cli.app import main
 from bayeq.equation.size_path import parsimony_path
 from bayeq.errors import DataWarning, InputError
 from bayeq.gram import Gram
-from bayeq.inference.collapsed import search as models
+from bayeq.inference.collapsed import path as by_size
 from bayeq.inference.collapsed.path import best_of_each_size, model_log_posterior, partial_shares
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import log_evidence, neighbours
@@ -80,8 +80,8 @@ def test_the_search_misses_hardly_any_of_them():
     for seed in range(60):
         D, y = awkward(1000 + seed, P=10)
         p = Problem.of(Gram.from_data(D, y), Prior())
-        exact = models._by_enumeration(p, range(11))
-        found = models._by_search(p, range(11), [])
+        exact = by_size._by_enumeration(p, range(11))
+        found = by_size._by_search(p, range(11), [])
         missed += sum(log_evidence(p, a) < log_evidence(p, b) - 1e-6 for a, b in zip(found, exact, strict=True))
         sizes += len(found)
     assert sizes == 660
@@ -113,7 +113,7 @@ def test_forced_and_forbidden_terms_and_an_unknown_inclusion():
         assert not model[3]
         assert value == pytest.approx(logs[models.sum(axis=1) == model.sum()].max(), abs=1e-7)
     for k in (2, 4):
-        searched = models._by_search(p, range(2, 7), [])[k - 2]
+        searched = by_size._by_search(p, range(2, 7), [])[k - 2]
         assert log_evidence(p, searched) == pytest.approx(found[k - 2][1], abs=1e-7)
     with pytest.raises(InputError, match="at most 1 terms are asked for, but 2 are forced in"):
         best_of_each_size(p, 1)
