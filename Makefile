@@ -55,9 +55,11 @@ reliability: $(VENV)/.dev
 	$(BIN)/python -m studies.kills > docs/tables/reliability_kills.csv
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest tests/reliability --full-statistics
 
-# Lines and branches that the tests run; kernels are compiled, and not counted.
+# Lines and branches that the tests run, with the page in a browser and PySINDy beside; kernels are compiled, and not counted.
 coverage: $(VENV)/.dev
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --cov --cov-report=term:skip-covered --cov-report=html
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --cov --cov-report= --cov-fail-under=0
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --slow tests/test_app_browser.py tests/test_field.py \
+		--cov --cov-append --cov-report=term:skip-covered --cov-report=html
 
 # The long form of fuzzing: 1,000,000 inputs for each parser of our own, 100,000 where a library parses; some hours. It goes
 # on where it was stopped (.fuzz), is guided by coverage where atheris is installed, and ends with 1 if it found something.

@@ -103,6 +103,13 @@ def test_units_are_kept(suffix: str, tmp_path: Path) -> None:
     assert dict(read(tmp_path / f"r{suffix}").units) == {"t": "year", "x": "mm", "v": "m/s"}
 
 
+def test_a_name_that_ends_in_a_unit_gives_none(suffix: str, tmp_path: Path) -> None:
+    for units in ({}, {"x": "m"}, {"disp_mm": "in"}):
+        record = Record({"disp_mm": [1.0, 2.0], "x": [3.0, 4.0]}, [0.0, 1.0], units)
+        write(record, tmp_path / f"r{suffix}")
+        assert_same(read(tmp_path / f"r{suffix}"), record)
+
+
 @pytest.mark.parametrize("unit", HARD_UNITS)
 def test_units_of_any_text_are_kept(suffix: str, tmp_path: Path, unit: str) -> None:
     path = tmp_path / f"r{suffix}"

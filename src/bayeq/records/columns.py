@@ -62,8 +62,9 @@ class Headers:
         """Clean the headers' texts; units that are `stated` elsewhere, by text, come before those in the texts."""
         texts = [str(text).strip() for text in texts]
         names, units = clean_names(texts)
-        known = stated or {}
-        found = [known.get(text) or unit or unit_in_name(text) for text, unit in zip(texts, units, strict=True)]
+        found = [unit or unit_in_name(text) for text, unit in zip(texts, units, strict=True)]
+        if stated:
+            found = [stated.get(text, unit) or None for text, unit in zip(texts, found, strict=True)]
         return cls(texts, names, found, where)
 
     @classmethod
@@ -112,8 +113,9 @@ class Headers:
         return Headers(texts, names, [self.units[i] for i in rows], self.where)
 
     def stated_units(self) -> dict[str, str]:
-        """Units by name, of the columns that have one."""
-        return {name: unit for name, unit in zip(self.names, self.units, strict=True) if unit}
+        """Units by name, of the columns that have one; an empty one where the name alone would say another."""
+        pairs = zip(self.names, self.units, strict=True)
+        return {name: unit or "" for name, unit in pairs if unit or unit_in_name(name)}
 
     def renamed(self, names: Names) -> Headers:
         """The same columns under the names that the caller gives, in order."""

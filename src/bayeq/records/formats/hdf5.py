@@ -188,8 +188,8 @@ def _about(node: Any) -> dict[str, Any]:
     out: dict[str, Any] = {}
     for name in node.attrs:
         if name.casefold() in ("unit", "units"):
-            unit = _text(_attribute(node, name))
-            if unit:
+            value = _attribute(node, name)
+            if (unit := _text(value)) or isinstance(value, str):  # empty: none, whatever the name ends in
                 out["unit"] = unit
         elif name in (*STEP_NAMES, *RATE_NAMES) and (step := step_of(name, _attribute(node, name))) is not None:
             out["step"] = step
@@ -251,10 +251,11 @@ def write(record: Record, path: Path) -> None:
     columns = record.to_columns()
     with _h5py().File(path, "w", track_order=True) as file:
         file.attrs[_MARK] = 1
-        for name, values, unit in zip(columns.names, columns.values, columns.headers.units, strict=True):
+        units = columns.headers.stated_units()
+        for name, values in zip(columns.names, columns.values, strict=True):
             dataset = file.create_dataset(name, data=values)
-            if unit:
-                dataset.attrs["unit"] = unit
+            if name in units:
+                dataset.attrs["unit"] = units[name]
 
 
 class Hdf5Rows(FileRows):

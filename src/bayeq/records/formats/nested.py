@@ -156,7 +156,8 @@ def read_pieces(
 def _columns(channels: list[Channel], where: str, request: Request, names: Names, part: slice) -> Columns:
     labels = [channel.label or channel.path.replace("[", "_").replace("]", "") for channel in channels]
     headers = Headers.parse(labels, where)
-    units = [channel.unit or unit for channel, unit in zip(channels, headers.units, strict=True)]
+    pairs = zip(channels, headers.units, strict=True)
+    units = [unit if channel.unit is None else channel.unit or None for channel, unit in pairs]
     headers = Headers([channel.path for channel in channels], headers.names, units, where)
     if names is not None:
         rows = _main(channels, headers, Request(fs=request.fs))
