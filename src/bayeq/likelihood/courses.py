@@ -42,7 +42,8 @@ def with_other_inputs(motion: Motion, task: Task, best: Fitted) -> tuple[Task, F
         if likeliest is not tried[0] and gain > margin:
             there, state = likeliest[0], likeliest[1].state
             try:
-                pairs = [(task, best), on_the_way(there, state) if gain > FLAT else likeliest]
+                # with suitable terms it has been searched already
+                pairs = [(task, best), likeliest if lagging or gain <= FLAT else on_the_way(there, state)]
                 most = max(one.state.levels.kappa.max() for _, one in pairs)
                 if best.averages is not None or most >= LIKELIHOOD.adequate:
                     # where a discrepancy is left coarse fits may be far from the likeliest levels

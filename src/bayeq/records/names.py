@@ -183,9 +183,9 @@ _ENDING = re.compile(
     r"|(?:a|acc\w*|beschl\w*)[\w ]*?[_ ](?P<gravity>(?-i:g))",
     re.IGNORECASE,
 )
-# "Weg/mm", "T/K"; what may be another channel, "F/A", is a unit behind a word alone, and "m/s" is no channel.
+# "Weg/mm", "T/K"; what may be another channel, "F/A", is a unit behind a word alone; "m/s" and "N/A" are no channels.
 _DIVIDED = re.compile(r"[^/]*[^\W\d_][^/]*/\s*(\S.*)")
-_CHANNELS, _LENGTHS = frozenset("AdhlLtTWC"), frozenset({"m", "mm", "cm", "um", "km", "rad", "deg", "n", "N"})
+_CHANNELS, _NO_NAMES = frozenset("AdhlLtTWC"), frozenset({"m", "mm", "cm", "um", "km", "rad", "deg", "n", "N"})
 
 
 def unit_in_name(header: str) -> str | None:
@@ -201,7 +201,7 @@ def unit_in_name(header: str) -> str | None:
     text = header.strip()
     if match := re.fullmatch(r".+ (.+/.+)", text) or _DIVIDED.fullmatch(text):
         symbols = parse_unit(match[1])
-        known = bool(symbols) and _KNOWN.issuperset(symbols) and text.split("/")[0] not in _LENGTHS
+        known = bool(symbols) and _KNOWN.issuperset(symbols) and text.split("/")[0] not in _NO_NAMES
         return match[1] if known and (match[1] not in _CHANNELS or text.index("/") > 2) else None
     match = _ENDING.fullmatch(text)
     if match is None or match["above"] is None:
