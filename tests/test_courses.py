@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.linalg import expm
+from scipy.signal import lsim
 from studies.forces import draw_record
 
 import bayeq as bq
 from bayeq.equation.applied import apply_to
 from bayeq.errors import BayeqWarning
 from bayeq.expressions import parse
+from bayeq.likelihood import courses
 from bayeq.selection.excitation import repeating
 from bayeq.states import Roles, estimate_motion
 
@@ -127,3 +130,39 @@ def test_a_held_input_behind_a_lag_is_no_further_term():
     eq = bq.discover(record, chains="x:v:", inputs=["u"], dictionary="x, v, x**3, f, u", law="df = (u - f)/{tau}")
     assert eq[0].included == ("x", "v", "f")
     assert eq[0].coef["f"] == pytest.approx(1.0, rel=0.02)
+
+
+def test_coefficients_are_spread_over_courses_that_are_nearly_as_likely(monkeypatch):
+    tried = [
+        (
+            SimpleNamespace(
+                layout=SimpleNamespace(courses=(course,)), precision=np.ones(3), number=lambda chosen: chosen
+            ),
+            SimpleNamespace(state=SimpleNamespace(chosen=np.array([0, 2]), theta=np.array(theta)), log=log),
+        )
+        for course, theta, log in (
+            ("smooth", [1.0, 2.0], 10.0),
+            ("linear", [1.1, 2.0], 12.0),
+            ("hold", [9.0, 9.0], -90.0),
+        )
+    ]
+    monkeypatch.setattr(courses, "of_likeliest", lambda task, fitted: fitted.log)
+    found = courses.spread_over(tried, "smooth", 0)
+    weight = np.exp(12.0 - courses.CLEARLY) / (np.exp(10.0) + np.exp(12.0 - courses.CLEARLY))
+    np.testing.assert_allclose(found, weight * np.outer([0.1, 0.0, 0.0], [0.1, 0.0, 0.0]), atol=1e-12)
+
+
+def test_a_smooth_force_stays_smooth_unless_the_motion_clearly_tells():
+    fine = np.arange(12_000) / 4000.0
+    force = 30.0 * np.sin(2.0 * np.pi * np.multiply.outer(fine, [3.1, 7.7, 12.9, 21.3])).sum(axis=1)
+    law = [[0.0, 1.0], [-1600.0, -4.0]], [[0.0], [0.3125]], np.eye(2), np.zeros((2, 1))
+    x, v = lsim(law, force, fine)[1][::10].T
+    t, force = fine[::10], force[::10]
+    a = 0.3125 * force - 4.0 * v - 1600.0 * x
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        channels = {"x": x, "a": a, "u": force}
+        noisy = {name: one + 0.01 * one.std() * rng.standard_normal(1200) for name, one in channels.items()}
+        eq = bq.discover(bq.Record.from_arrays(noisy, time=t), chains="x::a", inputs=["u"], dictionary="x, dx, u")
+        low, high = dict(zip([term.text for term in eq[0].terms], eq[0].ci95.tolist(), strict=True))["u"]
+        assert low < 0.3125 < high

@@ -174,3 +174,35 @@ def test_on_the_command_line(tmp_path, capsys):
     assert found["hidden"][0]["state"] == "f"
     assert math.isfinite(found["hidden"][0]["log_odds_without"])
     assert found["equations"][1]["equation"] == "df = (u-f)/{tau}"
+
+
+# --- several values of the constants --------------------------------------------------------------------------------
+
+
+def two_lags(rows: int = 800) -> bq.Record:
+    """A room of time constant 2 s behind a sensor of .6 s."""
+    rng, t = np.random.default_rng(1), np.arange(rows) * 0.05
+    w, phase = rng.uniform(0.1, 3.0, 8), rng.uniform(0.0, 2.0 * np.pi, 8)
+
+    def heater(s):
+        return 1.0 + np.sin(np.multiply.outer(s, w) + phase).sum(axis=-1) / 2.0
+
+    y = solve_ivp(lambda s, y: [0.5 * (heater(s) - y[0]), (y[0] - y[1]) / 0.6], (0.0, t[-1]), [1.0, 1.0], t_eval=t).y[1]
+    return bq.Record.from_arrays({"s": y + 0.01 * y.std() * rng.standard_normal(rows), "u": heater(t)}, time=t)
+
+
+def through(law: str, dictionary: str = "T, s, u, s**2") -> bq.Equations:
+    return bq.discover(two_lags(), chains="s", inputs=["u"], dictionary=dictionary, law=law)
+
+
+def test_two_lags_in_a_row_may_change_places():
+    eq = through("dT = {a: 0.02..20}*(u - T)")
+    assert eq.verdict.kind == "not determined"
+    assert "s and T may change places" in eq["ds"].verdict.reason
+
+
+def test_a_range_says_which_lag_is_which():
+    eq = through("dT = {a: 0.02..1}*(u - T)")  # smoothed rows explain most at its upper end
+    assert eq.verdict.kind == "found"
+    assert eq.constants[0].value == pytest.approx(0.5, rel=0.05)
+    assert eq["ds"].shown_coef["T"] == pytest.approx(1.0 / 0.6, rel=0.05)

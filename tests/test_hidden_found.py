@@ -164,7 +164,7 @@ def test_on_the_command_line(tmp_path, capsys):
     [
         ({"dictionary": "x, v, u, r"}, ChainError, "give each equation a dictionary"),
         ({"dictionary": {"a": "x, r"}}, BayeqError, "dr"),
-        ({"dictionary": {"a": "x, v*r", "dr": "v"}}, InputError, "no equation has r by itself"),
+        ({"dictionary": {"a": "x, v*r**2", "dr": "v"}}, InputError, "no equation has r by itself"),
         ({"constraints": "a: r == -1"}, InputError, "r has the coefficient 1"),
         ({"smooth": "none"}, InputError, "hidden states are found by the likelihood"),
         ({"law": "dq = r - q"}, ChainError, "one hidden state may have a dictionary"),
@@ -184,3 +184,70 @@ def test_a_path_is_forgotten_after_a_sixth_of_its_period_whatever_white_noise_it
     noisy = wave + 0.7 * np.random.default_rng(0).standard_normal(2000)
     assert _forgotten(wave) == pytest.approx(10, abs=1)
     assert _forgotten(noisy) == pytest.approx(10, abs=2)
+
+
+def two_masses(seed: int, rows: int = 500) -> bq.Record:
+    """A mass on a spring that drives another one, which is not measured."""
+    rng = np.random.default_rng(seed)
+    t, w, phase = np.arange(rows) * 0.02, rng.uniform(1.0, 18.0, 12), rng.uniform(0.0, 2.0 * np.pi, 12)
+
+    def rate(s, y):
+        x, other, v, its = y
+        spring = 100.0 * (x - other) + 0.4 * (v - its)
+        force = 10.0 * np.sin(np.multiply.outer(s, w) + phase).sum(axis=-1) / np.sqrt(6.0)
+        return [v, its, force - 80.0 * x - 0.5 * v - spring, spring / 1.25]
+
+    y = solve_ivp(rate, (0.0, t[-1]), np.zeros(4), t_eval=t, rtol=1e-8, atol=1e-10).y
+    a = np.array([rate(s, column)[2] for s, column in zip(t, y.T, strict=True)])
+    u = np.sin(np.multiply.outer(t, w) + phase).sum(axis=-1) / np.sqrt(6.0)
+    channels = {"x1": y[0], "a1": a, "u": u}
+    noisy = {name: one + 0.01 * one.std() * rng.standard_normal(rows) for name, one in channels.items()}
+    return bq.Record.from_arrays(noisy, time=t)
+
+
+MASSES = {"a1": "x1, dx1, u, x1-x2, dx1-dx2, x1**3", "ddx2": "x2-x1, dx2-dx1, (x2-x1)**3"}
+
+
+@cache
+def of_two_masses() -> bq.Equations:
+    return bq.discover(two_masses(1), chains=["x1::a1", "~x2::"], inputs=["u"], dictionary=MASSES)
+
+
+def test_a_mass_that_nobody_measures_is_found_in_differences():
+    eq = of_two_masses()
+    assert eq.verdict.kind == "found"
+    assert set(eq["a1"].included) == {"x1", "dx1", "u", "x1-x2", "dx1-dx2"}
+    assert set(eq["ddx2"].included) == {"x2-x1", "dx2-dx1"}
+    assert eq["ddx2"].shown_coef["x2-x1"] == pytest.approx(-80.0, rel=0.01)
+    assert eq.physical()["m_2"].mean == pytest.approx(0.125, rel=0.02)  # 1.25 of the first, which u's 10 says is 1/10
+
+
+def test_its_answer_is_saved_and_runs(tmp_path):
+    eq = of_two_masses()
+    eq.save(tmp_path / "eq.json")
+    loaded, other = bq.load(tmp_path / "eq.json"), two_masses(2)
+    assert [str(one.chain) for one in loaded] == ["x1::a1", "~x2::"]
+    np.testing.assert_array_equal(loaded.predict(other), eq.predict(other))
+    runs = [one.simulate(other, draws=0).mean["dx2"] for one in (eq, loaded)]
+    np.testing.assert_array_equal(*runs)
+
+
+def test_a_mass_with_a_spring_to_the_ground_has_no_unit():
+    dictionary = {**MASSES, "ddx2": "x2, x2-x1, dx2-dx1"}
+    with pytest.raises(InputError, match=r"x2 would do in any unit of it: have it in differences alone, as in x1-x2"):
+        bq.discover(two_masses(1), chains=["x1::a1", "~x2::"], inputs=["u"], dictionary=dictionary)
+
+
+def test_a_state_that_is_a_factor_alone_is_found():
+    def rate(s, y):  # Lorenz
+        return [10.0 * (y[1] - y[0]), y[0] * (28.0 - y[2]) - y[1], y[0] * y[1] - 8.0 / 3.0 * y[2]]
+
+    t, rng = np.arange(900) * 0.01, np.random.default_rng(1)
+    y = solve_ivp(rate, (0.0, t[-1]), [-3.0, -4.0, 22.0], t_eval=t, rtol=1e-9).y[:2]
+    noisy = y + 0.01 * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape)
+    record = bq.Record.from_arrays({"x": noisy[0], "y": noisy[1]}, time=t)
+    dictionary = {"dx": "x, y, x**2", "dy": "x, y, x*z, x*y", "dz": "x, z, x*y, x**2"}
+    eq = bq.discover(record, chains=["x", "y", "~z:"], dictionary=dictionary)
+    assert [set(one.included) for one in eq] == [{"x", "y"}, {"x", "y", "x*z"}, {"z", "x*y"}]
+    assert eq["dy"].shown_coef["x*z"] == pytest.approx(1.0, rel=1e-4)
+    assert eq["dz"].shown_coef["x*y"] == pytest.approx(-1.0, rel=0.05)

@@ -296,3 +296,15 @@ def test_refined_coefficients_are_those_of_the_same_motion_in_one_unit():
     for name, size in (("x", 1e3), ("v", 1.0), ("a", 1 / G)):
         assert after[1].refined.noise_sd[name] == pytest.approx(size * after[0].refined.noise_sd[name], rel=1e-3)
     assert after[1].physical()["k"].mean == pytest.approx(after[0].physical()["k"].mean, rel=1e-3)
+
+
+def test_clipped_peaks_do_not_change_a_unit():
+    record = in_units(1e3, **{**SI, "x": "mm"})
+    a = np.clip(record["a"], *np.quantile(record["a"], [0.05, 0.95]))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        eq = bq.discover(record.with_channels({"a": a}), chains="x::a", inputs=["u"], dictionary="x, dx, x**3, u")
+    assert eq[0].unit_gains == (1.0, 1.0, 0.001)
+    assert any("left out as clipped" in str(one.message) for one in caught)
+    assert not any("calibration" in str(one.message) for one in caught)
+    assert abs(eq.physical()["k"].mean - 1000.0) < 4 * eq.physical()["k"].sd

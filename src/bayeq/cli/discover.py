@@ -60,7 +60,7 @@ class _Method(click.Choice):  # type: ignore[type-arg]  # generic in the latest 
     "chains",
     multiple=True,
     help="A coordinate and its measured derivatives: x:v:a, x:: (only x measured), ::a (only a), x (first order),"
-    " x:xdot; ~r: is a hidden state with a dictionary. Once per coordinate.",
+    " x:xdot; ~r: is a hidden state with a dictionary, ~x2:: a hidden mass. Once per coordinate.",
 )
 @opt.measured("--input", "inputs", multiple=True, help="Input channel; once per input.")
 @opt.measured(

@@ -96,7 +96,8 @@ def discover(
         A coordinate and its measured derivatives each: ``"x:v:a"``, ``"x::"``, ``"x"`` (first order). In ``"::a"``,
         only the acceleration measured, the coordinate is called x; where another chain or an input has that name, as
         in ``["::a1", "::a2"]``, x_a1 and x_a2. ``"~q::a"`` names it q. ``"~r:"`` is a hidden state
-        of first order, whose law is found among the terms of its own dictionary.
+        of first order, whose law is found among the terms of its own dictionary; ``"~x2::"`` a coordinate that nobody
+        measures, which terms have in differences alone.
     displacement, velocity, acceleration : str, optional
         Channels of one oscillator's chain, instead of `chains`.
     force : str, optional

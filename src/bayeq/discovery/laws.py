@@ -16,12 +16,12 @@ from bayeq.dictionary.specification import split_at
 from bayeq.equation.answer import HiddenState
 from bayeq.errors import ChainError, InputError, UnknownNameError
 from bayeq.expressions import Binary, Expression, Symbol, parse
-from bayeq.likelihood.hidden import SHARES, seen_in, with_first_paths
+from bayeq.likelihood.hidden import seen_in, with_values_of
 from bayeq.likelihood.record_fit import RecordFit
 from bayeq.records import Record
 from bayeq.regression.constraints import Constraints
 from bayeq.regression.design import Design, build_design
-from bayeq.states import Roles
+from bayeq.states import Motion, Roles
 
 
 def dictionaries_of(
@@ -48,10 +48,11 @@ def check_scales(roles: Roles, terms: Sequence[Expression], allowed: Bools, cons
     """
     for chain in roles.hidden:
         if not chain.stated:
-            c, j = seen_in(chain, roles, terms, allowed)
-            if replace(constraints[c], stated=()).concerned[j]:
-                z = chain.names[0]
-                raise InputError(f"constraints: {z} has the coefficient 1: write '{z} ~ -1 +- 1e-6' for another scale")
+            c, j, scaled = seen_in(chain, roles, terms, allowed)[0]
+            if scaled and replace(constraints[c], stated=()).concerned[j]:
+                raise InputError(
+                    f"constraints: {terms[j]} has the coefficient 1: write '{terms[j]} ~ -1 +- 1e-6' for another scale"
+                )
 
 
 def with_law_terms(
@@ -90,13 +91,9 @@ def without_hidden(terms: Sequence[Expression], allowed: Bools, roles: Roles) ->
     return tuple(terms[j] for j in kept), allowed[:count, kept]
 
 
-def other_starts(design: Design) -> list[Design]:
-    """The design with other first paths of a hidden state whose law is to be found."""
-    roles = design.motion.roles
-    if not any(chain.law is None for chain in roles.hidden):
-        return []
-    motions = with_first_paths(design.motion, roles, design.terms, design.allowed, SHARES[1:])
-    found = [build_design(design.terms, motion, allowed=design.allowed) for motion in motions]
+def other_designs(design: Design, starts: Sequence[Motion]) -> list[Design]:
+    """The design at other starts of hidden states."""
+    found = [build_design(with_values_of(design.terms, one), one, allowed=design.allowed) for one in starts]
     return [one for one in found if one.names == design.names]
 
 

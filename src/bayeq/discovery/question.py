@@ -19,7 +19,7 @@ from bayeq.discovery.cautions import (
     warn_of_terms,
     warn_of_zero,
 )
-from bayeq.discovery.laws import hidden_states, other_starts, with_differences, without_hidden
+from bayeq.discovery.laws import hidden_states, other_designs, with_differences, without_hidden
 from bayeq.equation.answer import DataSummary, EquationTuple, HiddenState
 from bayeq.equation.build import build_equations, with_doubts
 from bayeq.equation.equation import Equation
@@ -30,7 +30,7 @@ from bayeq.expressions import Expression
 from bayeq.expressions.functions import CONSTANTS, TIME
 from bayeq.forecast.score import Scores
 from bayeq.inference.prior import SIGNED, Prior
-from bayeq.likelihood.hidden import SHARES, with_first_laws, with_first_paths, with_found_laws
+from bayeq.likelihood.hidden import with_first_laws, with_first_paths, with_found_laws, with_values_of
 from bayeq.likelihood.lags import first_lags
 from bayeq.likelihood.layout import Stated
 from bayeq.likelihood.record_fit import RecordFit, refit_record
@@ -81,8 +81,9 @@ CLEARLY = 3.0
 # Lags are learned in rounds, until none moves by more than this share of its standard deviation.
 LAG_ROUNDS, LAG_FOUND = 8, 0.1
 
-# Channels are checked against each other with straight lines over missing samples if these are a smaller share.
-MOST_BRIDGED = 0.05
+# Channels are checked against each other with straight lines over missing samples if these are a smaller share: cut off
+# peaks make a factor smaller by some nine times that.
+MOST_BRIDGED = 0.005
 
 
 class NotStreamed(InputError):
@@ -154,8 +155,8 @@ class Question:
         before = len(log.collected)
         units = _units(pieces, motion.roles, log)
         terms, known = _in_radians(self.terms, self.known, units, log)
-        motion, terms = self._with_hidden(motion, terms, whole)
-        terms = self._with_values(terms, motion, whole)
+        motion, *others = self._with_hidden(motion, terms, whole)
+        terms = self._with_values(with_values_of(terms, motion), motion, whole)
         terms, allowed = self._kept(terms, known, motion, log)
         design = self._design(motion, terms, allowed, whole)
         warn_of_terms(design, log)
@@ -163,7 +164,7 @@ class Question:
         constrained = _constrained(known, design, self.method)
 
         step("likelihood", 0, 1)
-        record, tied, known = self._record(design, constrained, known, log)
+        record, tied, known = self._record(design, constrained, known, log, others)
         if (tied or any(one.stated for one in constrained)) and (record is None or whole is not None):
             raise InputError(
                 "constraints: ~, ties between equations and conserved sums are taken by the likelihood of the record in"
@@ -214,12 +215,10 @@ class Question:
         )
         return answer, log
 
-    def _with_hidden(
-        self, motion: Motion, terms: tuple[Expression, ...], whole: Whole | None
-    ) -> tuple[Motion, tuple[Expression, ...]]:
-        """The motion with hidden states at first values of the constants of their laws, and the terms with these."""
+    def _with_hidden(self, motion: Motion, terms: Sequence[Expression], whole: Whole | None) -> list[Motion]:
+        """The motion with hidden states, if any, where searches start."""
         if not self.roles.hidden:
-            return motion, terms
+            return [motion]
         if whole is not None or self.smooth != "auto" or not motion.smoothing:
             raise InputError(
                 "law: hidden states are found by the likelihood of the record in memory: use smooth='auto', time, more"
@@ -227,9 +226,8 @@ class Question:
             )
         laws = [one if one.law is None else one.with_law(terms[self.terms.index(one.law)]) for one in self.roles.hidden]
         roles = motion.roles.with_chains([*motion.roles.chains, *laws])
-        if not laws[0].stated:
-            return with_first_paths(motion, roles, terms, self.allowed, SHARES[:1])[0], terms
-        return with_first_laws(motion, roles, terms, self.allowed)
+        starts = with_first_laws if laws[0].stated else with_first_paths
+        return starts(motion, roles, terms, self.allowed)
 
     def _without_hidden(
         self, hidden: tuple[HiddenState, ...], records: Sequence[Record]
@@ -238,11 +236,11 @@ class Question:
         terms, allowed = without_hidden(self.terms, self.allowed, self.roles)
         seen = replace(self, roles=self.roles.seen, terms=terms, allowed=allowed, dictionary=self._seen_dictionary)
         found, log = seen.answer(records)
-        names, odds = some_of([one.state for one in hidden], 30), odds_text(hidden[0].log_odds_without)
-        log.warn(
-            f"hidden {names} is not needed (odds without it {odds}): leave it out, or drive the system harder",
-            DataWarning,
-        )
+        names, odds = some_of([one.state for one in hidden], 30), hidden[0].log_odds_without
+        message = f" is not needed (odds without it {odds_text(odds)}): leave it out, or drive the system harder"
+        if not math.isfinite(odds):
+            message = " is not needed: no fit has it in an equation; leave it out, or give narrower ranges of constants"
+        log.warn(f"hidden {names}{message}", DataWarning)
         return replace(found, hidden=hidden, warnings=log.messages), log
 
     @property
@@ -258,14 +256,19 @@ class Question:
         return partial(record_of, smooth=self.smooth, dictionary=self.dictionary, prior=self.prior, tolerance=tolerance)
 
     def _record(
-        self, design: Design, constrained: Sequence[Constraints], known: Sequence[str], log: WarningLog
+        self,
+        design: Design,
+        constrained: Sequence[Constraints],
+        known: Sequence[str],
+        log: WarningLog,
+        others: Sequence[Motion],
     ) -> tuple[RecordFit | None, bool, tuple[str, ...]]:
         """The likelihood of the records, whether ties between equations were asked for, and what is known that holds.
 
         It is compared with that without them, which is taken where the record contradicts them.
         """
         ties = parse_ties(known, design.terms, design.motion.roles.targets)
-        asked = partial(self._likelihood, design, constraints=constrained, others=other_starts(design))
+        asked = partial(self._likelihood, design, constraints=constrained, others=other_designs(design, others))
         if self.conserved:
             warn_of_changes(self.conserve, self.conserved, design.motion, log)
             return asked(conserved=self.conserved), True, tuple(known)

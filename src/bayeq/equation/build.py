@@ -6,6 +6,8 @@ import math
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
 
+import numpy as np
+
 from bayeq.equation.answer import with_shown
 from bayeq.equation.equation import Equation, RunnerUp
 from bayeq.equation.verdict import LEAST_SHOWN, Verdict, doubted, judge, noise_share, window_errors
@@ -17,6 +19,7 @@ from bayeq.errors import (
     WarningLog,
     some_of,
 )
+from bayeq.expressions import Evaluator, Expression
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.score import Scores, held_out_scores
 from bayeq.inference.collapsed.path import model_log_posterior, partial_shares
@@ -139,7 +142,7 @@ def build_equation(selection: Selection, window: tuple[float, str] | None) -> Eq
 
 def _of_hidden(regression: Regression) -> Verdict:
     """The verdict on the law of a hidden state that was found: the equations that it is in are judged by the record."""
-    z, target = regression.chain.names
+    z, target = regression.chain.names[0], regression.chain.target
     if isinstance(regression, RecordRegression) and regression.record.flat:
         same = f"sums of {z} and other terms in place of {z} say the same of what is measured"
         return Verdict("not determined", same, f"give {target} fewer terms")
@@ -165,9 +168,44 @@ def with_doubts(
     found = []
     for equation, selection in zip(equations, selections, strict=True):
         verdict, shape = _doubted(equation, selection, tolerance, again), selection.shown_fit.regression.shape
+        same = exchangeable(equation, equations)
+        if same is not None and verdict.kind != "none":
+            verdict = Verdict("not determined", same, "give the range of the constant that you know, {a: 0.1..1}")
         residuals = equation.residuals if shape is None else replace(equation.residuals, **shape._asdict())
         found.append(replace(equation, verdict=verdict, residuals=residuals))
     return tuple(found)
+
+
+def exchangeable(equation: Equation, equations: Sequence[Equation]) -> str | None:
+    """What may change places: the rate of a measured state of first order, and that of a hidden one that drives it.
+
+    Two lags in a row are the same in either order. None where another term, a state in the law, or the range of its
+    constant says which is which.
+    """
+    state, own = equation.chain.names[0], equation.shown_coef
+    if equation.chain.order != 1 or equation.chain.hidden or state not in own:
+        return None
+    for other in equations:
+        hidden, law, constants = other.chain.names[0], other.chain.law, other.constants
+        if law is None or other.chain.found or len(constants) != 1 or set(own) != {state, hidden}:
+            continue
+        [constant] = law.unknowns.values()
+        values = constants[0].value, constant.low, constant.high
+        slopes = [_slope(law.with_unknowns({constant.name: replace(constant, value=x)}), hidden) for x in values]
+        rates = [one for one in slopes if one is not None]
+        others = law.names - {hidden, *(name for one in equations for name in one.chain.names)}
+        if len(rates) == 3 and law.names == others | {hidden} and min(rates[1:]) < own[state] < max(rates[1:]):
+            return f"{state} and {hidden} may change places: rates {-own[state]:.4g} and {-rates[0]:.4g} /s, as likely"
+    return None
+
+
+def _slope(term: Expression, name: str) -> float | None:
+    """What a term changes by per unit of a name; None where that is not the same everywhere."""
+    others = np.random.default_rng(0).uniform(0.5, 1.5, (len(term.names), 2))
+    columns = {other: np.repeat(values, 3) for other, values in zip(sorted(term.names), others, strict=True)}
+    at = np.broadcast_to(Evaluator({**columns, name: np.tile(np.arange(3.0), 2)})(term), 6)
+    slopes = np.diff(at.reshape(2, 3)).ravel()
+    return float(slopes[0]) if np.isfinite(slopes).all() and np.ptp(slopes) <= 1e-9 * abs(slopes[0]) else None
 
 
 def _doubted(equation: Equation, selection: Selection, tolerance: float, again: Repeating | None) -> Verdict:
@@ -195,6 +233,9 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
         reversed_channel,
         dependent,
     )
+    if isinstance(regression, RecordRegression) and regression.record.rivals and verdict.kind != "none":
+        other = ", ".join(f"{name} = {value:.4g}" for name, value in regression.record.rivals[0].items())
+        return Verdict("not determined", f"as likely with {other}", "give narrower ranges, as in {a: 0.1..1}")
     if equation.posterior.converged or verdict.kind in ("none", "not determined"):
         return verdict
     reason = f"{equation.posterior.method} did not converge: probabilities of terms may be off"

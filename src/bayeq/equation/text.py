@@ -84,7 +84,8 @@ def given_of(eq: Answer) -> list[str]:
     """What was given beside the record, and what was done with the equations."""
     known, out = eq.data.sensors, list[str]()
     for one in eq.hidden:
-        out.append(f"hidden {one.state}: odds of the equations without it {odds_text(one.log_odds_without)}")
+        odds = odds_text(one.log_odds_without) if math.isfinite(one.log_odds_without) else "not known, no fit has it"
+        out.append(f"hidden {one.state}: odds of the equations without it {odds}")
     if eq.data.band is not None:
         low, high = eq.data.band
         out.append(f"band: the record is believed between {low:g} and {high:g} Hz")

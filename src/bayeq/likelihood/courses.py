@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from bayeq.arrays import Floats
 from bayeq.likelihood.fit import State, of_inputs
-from bayeq.likelihood.model import FLAT, Fitted, Task, calmed, finished, fit, of_motion
+from bayeq.likelihood.layout import Course
+from bayeq.likelihood.model import Fitted, Task, calmed, finished, fit, of_motion
 from bayeq.likelihood.search import CLEARLY, on_the_way
 from bayeq.likelihood.start import with_courses
 from bayeq.likelihood.unknowns import settled
@@ -16,14 +19,14 @@ from bayeq.states import Motion
 
 
 def with_other_inputs(motion: Motion, task: Task, best: Fitted) -> tuple[Task, Fitted]:
-    """The fit, or one with other courses of inputs between samples where the motion is then likelier.
+    """The fit, or one with other courses of inputs between samples where the motion is then clearly likelier.
 
-    Clearly so where channels may be late, or lag behind by a law: an input that is held is half a sample late. Terms
-    and constants of the law make up for that, so that there each course is compared with those that suit it. Within the
-    half nat in which the likelihood is flat, as courses of finely sampled inputs are, the model stays.
+    What the likelihood hardly tells stays as the samples of the input themselves have it: smooth, if they are. Another
+    course moves coefficients by more than noise does; `Task.between` is the spread over courses. Where channels may be
+    late, or lag behind by a law, terms and constants make up for a wrong course (an input that is held is half a sample
+    late), so that each is compared with those that suit it.
     """
     lagging = task.layout.late or bool(task.layout.roles.hidden)
-    margin = CLEARLY if lagging else 0.0
     for k in range(len(task.layout.roles.inputs)):
         tried = [(task, best if best.averages is not None else fit(task, best.state, coarse=True))]
         for group in with_courses(motion, task, best, k):
@@ -32,18 +35,18 @@ def with_other_inputs(motion: Motion, task: Task, best: Fitted) -> tuple[Task, F
                     tried.append((there, fit(there, noisier(there, calmed(state), k), coarse=True)))
                 except np.linalg.LinAlgError:
                     continue
+        spread = [tried[0], *sorted(tried[1:], key=lambda pair: -of_likeliest(*pair))]
         likeliest = max(tried, key=lambda pair: of_likeliest(*pair))
         if lagging:
             least = of_likeliest(*likeliest) - LIKELIHOOD.neighbour_window
             near = [pair for pair in tried[1:] if of_likeliest(*pair) > least]
             tried = [with_suitable(motion, *pair) for pair in (tried[0], *near)]
             likeliest = max(tried, key=lambda pair: of_likeliest(*pair))
-        gain = of_likeliest(*likeliest) - of_likeliest(*tried[0])
-        if likeliest is not tried[0] and gain > margin:
+        if of_likeliest(*likeliest) - of_likeliest(*tried[0]) > CLEARLY:
             there, state = likeliest[0], likeliest[1].state
             try:
                 # with suitable terms it has been searched already
-                pairs = [(task, best), likeliest if lagging or gain <= FLAT else on_the_way(there, state)]
+                pairs = [(task, best), likeliest if lagging else on_the_way(there, state)]
                 most = max(one.state.levels.kappa.max() for _, one in pairs)
                 if best.averages is not None or most >= LIKELIHOOD.adequate:
                     # where a discrepancy is left coarse fits may be far from the likeliest levels
@@ -51,7 +54,24 @@ def with_other_inputs(motion: Motion, task: Task, best: Fitted) -> tuple[Task, F
             except np.linalg.LinAlgError:
                 continue
             task, best = max(pairs, key=lambda pair: of_motion(*pair))
+        task = replace(task, between=task.between + spread_over(spread, task.layout.courses[k], k))
     return task, best
+
+
+def spread_over(tried: Sequence[tuple[Task, Fitted]], taken: Course, k: int) -> Floats:
+    """Second moments of coefficients about those of the course taken, over courses of input k, (C (P + 1),) squared.
+
+    The first of the fits, all of one model, has the course of the samples themselves, which is likelier before.
+    """
+    kinds: dict[Course, tuple[float, Floats]] = {}
+    for i, (task, fitted) in enumerate(tried):
+        theta = np.zeros(len(task.precision))
+        theta[task.number(fitted.state.chosen)] = fitted.state.theta
+        kinds.setdefault(task.layout.courses[k], (of_likeliest(task, fitted) - CLEARLY * (i > 0), theta))
+    logs = np.array([log for log, _ in kinds.values()])
+    weights = np.exp(logs - logs.max())
+    apart = np.stack([theta for _, theta in kinds.values()]) - kinds[taken][1]
+    return np.asarray((apart.T * weights / weights.sum()) @ apart)
 
 
 def with_suitable(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fitted]:

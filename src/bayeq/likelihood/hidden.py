@@ -4,37 +4,46 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
 from bayeq.arrays import Bools, Floats
 from bayeq.dictionary import evaluate_terms
 from bayeq.dictionary.ranges import NODES, constants_of, middle, to_plain, to_scale
-from bayeq.errors import InputError
-from bayeq.expressions import Evaluator, Expression, Symbol, Unknown, number
+from bayeq.errors import InputError, some_of
+from bayeq.expressions import Binary, Evaluator, Expression, Symbol, Unknown, number
+from bayeq.expressions.implicit import product, total
 from bayeq.expressions.nodes import replaced
 from bayeq.gram import Gram
 from bayeq.likelihood.fit import State
 from bayeq.likelihood.start import likeliest_by_rows
 from bayeq.states import Chain, Motion, Roles, with_columns, with_hidden
 
-# Values of all constants that are tried first, about; rows of the regression that each is judged by, at most; halvings
-# of the steps from the best of them.
-GRID, ROWS, HALVINGS = 400, 4000, 6
+# Values of all constants that are tried first, about; rows of the regression that each is judged by, at most.
+GRID, ROWS = 400, 4000
+
+# Searches start from this many peaks of the grid, the highest, if they explain this share of what the highest of all
+# does above the lowest value. A peak is sought within its nodes by TRIES values; the highest is at an end of the grid
+# beyond this share of the way there from the middle.
+STARTS, WORTH, TRIES, AT_END = 3, 0.5, 100, 0.99
 
 # Shares of the coordinate's coefficient that a hidden state has at first beside what the other terms leave.
 SHARES = (0.0, 0.3, 0.6, 0.9)
+
+# Springs of a hidden coordinate are sought within this factor of the ratio of acceleration and displacement of a
+# measured one, dampers within these of the root of that: a stiffer spring makes its force an acceleration.
+STIFFNESS, DAMPING, DAMPERS = 30.0, (0.01, 1.0), 4
 
 # A relaxation is sought from this share of the sampling interval to this many times the record.
 FASTEST, SLOWEST = 0.5, 2.0
 
 
-def with_first_laws(
-    motion: Motion, roles: Roles, terms: Sequence[Expression], allowed: Bools
-) -> tuple[Motion, tuple[Expression, ...]]:
-    """The motion with hidden states, and the terms with the constants of their laws.
+def with_first_laws(motion: Motion, roles: Roles, terms: Sequence[Expression], allowed: Bools) -> list[Motion]:
+    """The motion with hidden states, and values of the constants of their laws, one for each start of a search.
 
     Of values on a grid those are taken whose hidden states let the candidates of the other equations, together, explain
     most of the smoothed rows. The motion is without the hidden states, the roles are with them, the P terms with their
@@ -45,58 +54,194 @@ def with_first_laws(
     nodes = min(NODES, max(3, int(GRID ** (1.0 / max(len(constants), 1)))))
     places = [np.linspace(to_scale(one, one.low), to_scale(one, one.high), nodes) for one in constants]
 
-    def tried(at: Sequence[float]) -> tuple[float, Motion | None, dict[str, Unknown]]:
-        values = {one.name: replace(one, value=to_plain(one, x)) for one, x in zip(constants, at, strict=True)}
-        try:
-            found = with_hidden(motion, at_values(roles, values))
-        except InputError:
-            return -math.inf, None, values
-        return _explained(found, [term.with_unknowns(values) for term in terms], allowed), found, values
+    def values(at: Sequence[float]) -> dict[str, Unknown]:
+        return {one.name: replace(one, value=to_plain(one, x)) for one, x in zip(constants, at, strict=True)}
 
-    best = max(map(tried, itertools.product(*places)), key=lambda one: one[0])
-    step = np.array([place[1] - place[0] for place in places])
-    low, high = np.array([[place[0], place[-1]] for place in places]).reshape(-1, 2).T
-    for _ in range(HALVINGS if constants else 0):
-        step = 0.5 * step
-        for move in np.vstack([np.diag(step), -np.diag(step)]):
-            here = np.array([to_scale(one, best[2][one.name].value) for one in constants])
-            best = max(best, tried(np.clip(here + move, low, high).tolist()), key=lambda one: one[0])
-    if best[1] is None:
+    def score(at: Sequence[float]) -> float:
+        try:
+            found = with_hidden(motion, at_values(roles, values(at)))
+        except InputError:
+            return -math.inf
+        return _explained(found, [term.with_unknowns(values(at)) for term in terms], allowed)
+
+    peaks = _peaks(score, places, np.zeros(len(places), dtype=np.bool_)) if constants else [()]
+    if not peaks or not math.isfinite(score(peaks[0])):
         law = roles.hidden[0].law
         raise InputError(
             f"law {law}: not finite along the record for any value of its constants; write abs() where a root or a"
             " power needs it, or other ranges"
         )
-    return best[1], tuple(term.with_unknowns(best[2]) for term in terms)
+    return [with_hidden(motion, at_values(roles, values(at))) for at in peaks]
 
 
-def seen_in(chain: Chain, roles: Roles, terms: Sequence[Expression], allowed: Bools) -> tuple[int, int]:
-    """The first measured equation that has a hidden state by itself as a candidate, and that: they set its scale.
+def with_values_of(terms: Sequence[Expression], motion: Motion) -> tuple[Expression, ...]:
+    """The terms with the values that constants have in the laws of hidden states."""
+    values = constants_of([chain.law for chain in motion.roles.hidden if chain.law is not None])
+    return tuple(term.with_unknowns(values) for term in terms)
 
-    An InputError says that there is none.
+
+def _peaks(
+    score: Callable[[Sequence[float]], float], places: Sequence[Floats], inner: Bools
+) -> list[tuple[float, ...]]:
+    """Where a score is highest on a grid, within the nodes about its peaks, the highest first.
+
+    At the ends of the axes `inner`, (n,) bool, there are none.
     """
-    name = chain.names[0]
-    for j, term in enumerate(terms):
-        seen = np.flatnonzero(allowed[: len(roles.seen.chains), j])
-        if term.tree == Symbol(name) and len(seen):
-            return int(seen[0]), j
-    raise InputError(f"chain {chain}: no equation has {name} by itself as a term, which sets its scale: add it")
+    from scipy.ndimage import maximum_filter
+    from scipy.optimize import minimize
+
+    def lost(at: Floats) -> float:
+        return -score(at.tolist())
+
+    scores = np.reshape([score(at) for at in itertools.product(*places)], [len(place) for place in places])
+    finite = scores[np.isfinite(scores)]
+    if not len(finite):
+        return []
+    least, most = finite.min(), finite.max()
+    peaks = (scores == maximum_filter(scores, 3)) & (scores >= least + WORTH * (most - least))
+    for axis in np.flatnonzero(inner):
+        np.moveaxis(peaks, axis, 0)[[0, -1]] = False
+    found: list[tuple[float, ...]] = []
+    for at in sorted(np.argwhere(peaks).tolist(), key=lambda at: -scores[tuple(at)])[:STARTS]:
+        step = np.array([place[1] - place[0] for place in places])
+        start: Floats = np.array([place[k] for place, k in zip(places, at, strict=True)])
+        ends = [(max(x - d, place[0]), min(x + d, place[-1])) for x, d, place in zip(start, step, places, strict=True)]
+        best = minimize(lost, start, method="Nelder-Mead", bounds=ends, options={"maxfev": TRIES, "fatol": 0.1})
+        found.append(tuple(best.x.tolist()))
+    found.sort(key=lambda x: -score(x))
+    first, last = (np.array([place[k] for place in places]) for k in (0, -1))
+    at_end = np.abs((2.0 * np.array(found[:1]) - first - last) / (last - first)).ravel() > AT_END
+    if at_end.any():  # the likelihood may have a peak on the way there
+        half = np.unravel_index(np.nanargmin(np.abs(scores - 0.5 * (least + most))), scores.shape)
+        found.append(tuple(float(place[k]) for place, k in zip(places, half, strict=True)))
+        found.append(tuple(np.where(at_end, 0.5 * (first + last), found[0]).tolist()))
+    return found[:STARTS]
 
 
-def with_first_paths(
-    motion: Motion, roles: Roles, terms: Sequence[Expression], allowed: Bools, shares: Sequence[float]
-) -> tuple[Motion, ...]:
+class Seen(NamedTuple):
+    """A term of a measured equation that a hidden state is in, as a factor or in a difference."""
+
+    equation: int
+    term: int
+    scaled: bool  # whether the state is a factor: the coefficient is its scale
+
+
+def seen_in(chain: Chain, roles: Roles, terms: Sequence[Expression], allowed: Bools) -> list[Seen]:
+    """Where a hidden state is a factor, by itself if anywhere, which sets its scale; otherwise all its differences.
+
+    An InputError says that there is neither, and refuses another term than differences of a coordinate of second order.
+    """
+    z, found = chain.names[0], []
+    for j, c in np.argwhere(allowed[: len(roles.seen.chains)].T).tolist():
+        if z in terms[j].names and not terms[j].names & set(chain.names[1:]):
+            without, once, twice = _at(terms[j], {z: np.arange(3.0)})
+            if math.isclose(twice - once, once - without, rel_tol=1e-9):
+                found.append(Seen(c, j, without == 0.0))
+    apart = [one for one in found if _in_differences(terms[one.term], roles)]
+    if chain.order == 1:
+        alone = [one for one in found if terms[one.term].tree == Symbol(z)]
+        scaled = [*alone, *(one for one in found if one.scaled)][:1]
+        if not scaled and not apart:
+            raise InputError(f"chain {chain}: no equation has {z} by itself as a term, which sets its scale: add it")
+        return scaled or apart
+    others = [term.text for term in terms if term.names & set(chain.names) and not _in_differences(term, roles)]
+    if others or not apart:
+        why = f"{some_of(others)} would do in any unit of it" if others else "no term uses it"
+        raise InputError(f"chain {chain}: {why}: have it in differences alone, as in {roles.chains[0].names[0]}-{z}")
+    return apart
+
+
+def _at(term: Expression, columns: Mapping[str, Floats]) -> list[float]:
+    """A term where some names have these values and all others arbitrary ones."""
+    rng = np.random.default_rng(0)
+    given = {name: np.full(3, rng.uniform(0.5, 1.5)) for name in sorted(term.names)}
+    return np.broadcast_to(Evaluator({**given, **columns})(term), 3).tolist()
+
+
+def _in_differences(term: Expression, roles: Roles) -> bool:
+    """Whether a term stays what it is where all coordinates, and all velocities, change by as much."""
+    rng, columns = np.random.default_rng(1), dict[str, Floats]()
+    for move in (np.array([0.0, 0.3, 0.7]), np.array([0.0, 0.5, 0.1])):
+        at = 0 if not columns else 1
+        columns |= {chain.names[at]: rng.uniform(1.5, 2.5) + move for chain in roles.chains if chain.order > at}
+    return bool(np.ptp(np.array(_at(term, columns))) < 1e-9)
+
+
+def with_first_paths(motion: Motion, roles: Roles, terms: Sequence[Expression], allowed: Bools) -> list[Motion]:
     """The motion with first paths of a hidden state whose law is to be found, one for each start of a search.
 
-    A path is what a regression of the equation that the state is seen in leaves, and a share of its spring, if it has
-    one: the state may be one, too. Rates are those by the likeliest candidates for its changes over the time in which
-    it forgets, for rates of what is left are mostly noise.
+    Paths are what a regression of the equation that the state is a factor in leaves, and a share of its spring, if it
+    has one: the state may be one, too. A state in differences alone begins with springs and a damper.
     """
     (chain,) = roles.hidden
-    (z, dz), (c, _) = chain.names, seen_in(chain, roles, terms, allowed)
-    seen, gains = roles.chains[c], (*motion.unit_gains[: len(roles.chains) - 1], np.ones(2))
-    others = [term for term, mine in zip(terms, allowed[c], strict=True) if mine and z not in term.names]
-    own = [term for term, mine in zip(terms, allowed[-1], strict=True) if mine]
+    seen = seen_in(chain, roles, terms, allowed)
+    if not seen[0].scaled:
+        return _on_springs(motion, roles, terms, allowed, roles.chains[seen[0].equation])
+    gains = (*motion.unit_gains[: len(roles.chains) - 1], np.ones(chain.order + 1))
+    bare = replace(motion, roles=roles, unit_gains=gains)
+    rest = _rest(bare, terms, allowed, seen[0].equation)
+    shares = SHARES if rest.spring is not None else SHARES[:1]
+    return [_as_factor(bare, terms, allowed, seen[0], rest, share) for share in shares]
+
+
+def _on_springs(
+    motion: Motion, roles: Roles, terms: Sequence[Expression], allowed: Bools, beside: Chain
+) -> list[Motion]:
+    """The motion with paths of a coordinate on springs, and on dampers alike, by which other equations explain most."""
+    chain, rows = roles.chains[-1], motion.train
+    sizes = [np.concatenate([one.columns[name] for one in rows]).std() for name in (beside.target, beside.names[0])]
+    pace = float(sizes[0] / sizes[1]) ** (1.0 / beside.order)
+    damper = Unknown("damper", *(pace * factor for factor in DAMPING))
+    constants, parts = [], []
+    for term in (term for term, mine in zip(terms, allowed[-1], strict=True) if mine):
+        inside = [name for name in chain.states if name in term.names]
+        without, once, twice = _at(term, {name: np.arange(3.0) for name in inside})
+        if len(inside) != 1 or not math.isclose(twice - once, once - without, rel_tol=1e-9):
+            continue
+        constant = damper
+        if inside[0] == chain.names[0]:
+            spring = pace**chain.order
+            constant = Unknown(f"spring {term.text}", spring / STIFFNESS, spring * STIFFNESS)
+        constants += [] if constant in constants else [constant]
+        parts.append(product(number(-math.copysign(1.0, once - without)), Binary("*", constant, term.tree)))
+    if not parts:
+        raise InputError(
+            f"chain {chain}: give {chain.target} a difference by itself, {beside.names[0]}-{chain.names[0]}"
+        )
+    stated = roles.with_chains([*roles.seen.chains, chain.with_law(Expression(total(parts)))])
+
+    def with_values(scales: Sequence[float]) -> Motion:
+        values = {one.name: replace(one, value=math.exp(x)) for one, x in zip(constants, scales, strict=True)}
+        return with_hidden(motion, at_values(stated, values))
+
+    def score(scales: Sequence[float]) -> float:
+        try:
+            return _explained(with_values(scales), terms, allowed)
+        except InputError:  # it blows up
+            return -math.inf
+
+    springs = np.array([one is not damper for one in constants])
+    nodes = max(6, int((GRID / DAMPERS) ** (1.0 / max(springs.sum(), 1))))
+    places = [
+        np.linspace(math.log(one.low), math.log(one.high), nodes if own else DAMPERS)
+        for one, own in zip(constants, springs, strict=True)
+    ]
+    # at the ends of springs a hidden mass is none, and its force any acceleration
+    return [replace(with_values(at), roles=roles) for at in _peaks(score, places, springs)]
+
+
+class _Rest(NamedTuple):
+    """What a regression of the smoothed rows of an equation leaves, in each record."""
+
+    left: list[Floats]
+    spring: list[Floats] | None  # the part of the coordinate, or of an input of a static law
+
+
+def _rest(motion: Motion, terms: Sequence[Expression], allowed: Bools, c: int) -> _Rest:
+    """The same of the terms that an equation may have without the hidden state."""
+    roles = motion.roles
+    seen, hidden = roles.chains[c], set(roles.chains[-1].names)
+    others = [term for term, mine in zip(terms, allowed[c], strict=True) if mine and not term.names & hidden]
     with np.errstate(all="ignore"):
         columns = [evaluate_terms(others, rows.columns) for rows in motion.records]
     gram = Gram.from_data(
@@ -106,21 +251,39 @@ def with_first_paths(
     )
     unit = np.sqrt(np.maximum(gram.diagonal, 1e-300))
     coef = np.linalg.lstsq(gram.DtD / np.outer(unit, unit), gram.Dty / unit, rcond=1e-10)[0] / unit
+    left = [
+        rows.columns[seen.target] - gram.target_mean - (D - gram.mean) @ coef
+        for rows, D in zip(motion.records, columns, strict=True)
+    ]
     places = roles.inputs if seen.static else seen.names[:1]
     springs = [i for i, term in enumerate(others) if isinstance(term.tree, Symbol) and term.text in places]
     spring = max(springs, key=lambda i: abs(coef[i]) * unit[i], default=None)
-    found = []
-    for share in shares if spring is not None else [one for one in shares if one == 0.0]:
-        paths = []
-        for rows, D in zip(motion.records, columns, strict=True):
-            left = rows.columns[seen.target] - gram.target_mean - (D - gram.mean) @ coef
-            paths.append({z: left if spring is None else left + share * coef[spring] * D[:, spring]})
-        records = [
-            with_columns(rows, {**path, dz: rate})
-            for rows, path, rate in zip(motion.records, paths, _rates(motion, own, paths), strict=True)
-        ]
-        found.append(replace(motion, roles=roles, records=tuple(records), unit_gains=gains))
-    return tuple(found)
+    return _Rest(left, None if spring is None else [coef[spring] * D[:, spring] for D in columns])
+
+
+def _as_factor(
+    motion: Motion, terms: Sequence[Expression], allowed: Bools, seen: Seen, rest: _Rest, share: float
+) -> Motion:
+    """The motion with the path of a state that is a factor of a term.
+
+    Rates are those by the likeliest candidates for its changes over the time in which it forgets, for rates of what is
+    left are mostly noise.
+    """
+    (chain,), paths = motion.roles.hidden, []
+    own = [term for term, mine in zip(terms, allowed[-1], strict=True) if mine]
+    for k, rows in enumerate(motion.records):
+        left = rest.left[k] if rest.spring is None else rest.left[k] + share * rest.spring[k]
+        factor = evaluate_terms([terms[seen.term]], {**rows.columns, chain.names[0]: np.ones(rows.n)})[:, 0]
+        if np.ptp(factor) > 0.0:  # zero now and then
+            width = max(1, _forgotten(left) // 4)
+            weight = gaussian_filter1d(factor**2, width)
+            left = gaussian_filter1d(factor * left, width) / np.maximum(weight, 1e-9 * weight.max())
+        else:
+            left = left / factor
+        paths.append({chain.names[0]: left})
+    rates = _rates(motion, own, paths)
+    columns = [{**path, chain.target: rate} for path, rate in zip(paths, rates, strict=True)]
+    return replace(motion, records=tuple(map(with_columns, motion.records, columns)))
 
 
 def _rates(motion: Motion, terms: Sequence[Expression], paths: Sequence[Mapping[str, Floats]]) -> list[Floats]:

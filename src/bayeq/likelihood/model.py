@@ -80,6 +80,8 @@ class Task:
     tolerance: float | None = None  # see `bayeq.discover`
     ranges: Floats | None = None  # (C (P + 1),), what the log odds have lost to the ranges of constants inside terms
     flows: Flows | None = None  # what models are selected from, where a sum of states is conserved
+    # covariance of coefficients between likely courses of inputs, (C (P + 1),) squared; 0 of none
+    between: Floats | float = 0.0
     # the last two linearisations and what they are of: fits go on from where others have stood
     recent: list[tuple[tuple[object, ...], list[Linear]]] = field(default_factory=list, repr=False)
 

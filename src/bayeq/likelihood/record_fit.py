@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.arrays import Bools, Floats
-from bayeq.dictionary.ranges import ConstantEstimate, Forms
+from bayeq.dictionary.ranges import ConstantEstimate, Forms, constants_of, extent, to_scale
 from bayeq.expressions import Expression
 from bayeq.gram import Gram, Standardised
 from bayeq.inference.collapsed.search import scores_of
@@ -27,7 +27,7 @@ from bayeq.likelihood.layout import Stated
 from bayeq.likelihood.levels import LEAST_NOISE
 from bayeq.likelihood.model import Fitted, Task, finished, fit, from_all_levels, of_motion, with_model
 from bayeq.likelihood.projection import Leftover, leftover
-from bayeq.likelihood.search import from_starts, resumed, search
+from bayeq.likelihood.search import CLEARLY, from_starts, resumed, search
 from bayeq.likelihood.spike import Nearly, Soft, among_fitted, among_neighbours, averaged, of_gram, soft_of
 from bayeq.likelihood.start import carried_over, series_and_paths, start_from
 from bayeq.likelihood.unequal import with_unequal_noise
@@ -47,6 +47,10 @@ HARDLY = 0.1
 SOME, READ = 0.05**2, 2.0
 
 
+# Constants are others where they differ by this share of their range.
+APART = 0.01
+
+
 @dataclass(frozen=True, eq=False)
 class RecordFit:
     """The fit of all equations of a system to its records."""
@@ -61,6 +65,8 @@ class RecordFit:
     # a model, and the sums over all rows about it, where the series are some of them
     more: tuple[Bools, Block] | None = None
     forms: Forms = field(default_factory=dict)  # of each either-or, the log posteriors of its members
+    # other values of the constants of stated laws by which the record is as likely
+    rivals: tuple[Mapping[str, float], ...] = ()
 
     @classmethod
     def of(cls, task: Task, fitted: Fitted) -> RecordFit:
@@ -244,7 +250,11 @@ class RecordFit:
         """Coefficients of equation c by the likelihood, the constant last if it is in the model; their covariance."""
         state, covariance = self.unshrunk
         own = np.flatnonzero(state.chosen.chain == c)
-        return state.theta[own], covariance[np.ix_(own, own)]
+        covariance = covariance[np.ix_(own, own)]
+        if not isinstance(self.task.between, float):
+            number = self.task.number(state.chosen)[own]
+            covariance = covariance + self.task.between[np.ix_(number, number)]
+        return state.theta[own], covariance
 
     @cached_property
     def balanced(self) -> tuple[Floats, Floats]:
@@ -284,7 +294,8 @@ class RecordFit:
 
         A derivative that is not measured is taken to be that of the coordinate without its drift, which is slow.
         """
-        layout, hidden = self.task.layout, [chain.names[0] for chain in self.task.layout.roles.hidden]
+        layout = self.task.layout
+        hidden = [name for chain in layout.roles.hidden for name in chain.states]
         motion = self.told(motion)
         if not (layout.drift or hidden):
             return motion
@@ -394,7 +405,7 @@ def fit_record(
     tolerance: float | None = None,
     stated: tuple[Stated, ...] = (),
     conserved: Mapping[int, float] | None = None,
-    others: Sequence[tuple[Motion, Sequence[Gram]]] = (),
+    others: Sequence[tuple[Motion, Sequence[Expression], Sequence[Gram]]] = (),
 ) -> RecordFit | None:
     """Fit a dictionary to the training rows of some motion.
 
@@ -416,8 +427,9 @@ def fit_record(
         What is known of coefficients before.
     conserved : mapping of int to float, optional
         Factors of the states, by the number of the equation, of a sum that is conserved.
-    others : sequence of (Motion, sequence of Gram)
-        The motion with other first paths of a hidden state: searches start from each, and the likeliest fit is taken.
+    others : sequence of (Motion, sequence of Expression, sequence of Gram)
+        Other first paths of hidden states, terms with the constants of their laws: searches start from each, and the
+        likeliest fit is taken.
 
     Returns
     -------
@@ -429,9 +441,9 @@ def fit_record(
         some, places = _stretches(motion)
         log_odds = first_members(some, terms, log_odds)
         starts = []
-        for start, own in [(motion, grams), *others]:
+        for start, own, sums in [(motion, terms, grams), *others]:
             with suppress(np.linalg.LinAlgError):
-                starts.append(start_from(_stretches(start)[0], terms, own, log_odds, tolerance, stated, conserved))
+                starts.append(start_from(_stretches(start)[0], own, sums, log_odds, tolerance, stated, conserved))
         for finish in (False, True):  # of a model on the way a fit may fail
             with suppress(np.linalg.LinAlgError):
                 return _fitted(motion, some, places, starts, finish)
@@ -452,16 +464,34 @@ def _fitted(
             pairs.append(search(task, states, finish))
     if not pairs:
         raise np.linalg.LinAlgError("no search leads to a likelihood that can be evaluated")
-    task, fitted = max(pairs, key=lambda pair: pair[1].evidence)
     if any(chain.stated for chain in motion.roles.chains):  # a lag that is off looks like another course
-        task, fitted = settled(some, task, finished(task, fitted))
+        pairs = [settled(some, task, finished(task, fitted)) for task, fitted in pairs]
+    (task, fitted), *others = sorted(pairs, key=lambda pair: -pair[1].evidence)
+    rivals = as_likely(task, fitted, others)
     task, fitted = with_other_inputs(some, task, fitted)
     task, fitted, forms = with_constants(some, task, fitted)
     if some is not motion:
         return _resumed(motion, task, fitted, places)
     unequal, state = with_unequal_noise(task, fitted.state, motion.sensors)
     fitted = finished(task, fitted) if unequal is task else resumed(unequal, state)
-    return _checked(replace(RecordFit.of(unequal, fitted), forms=forms))
+    return _checked(replace(RecordFit.of(unequal, fitted), forms=forms, rivals=rivals))
+
+
+def as_likely(task: Task, fitted: Fitted, others: Sequence[tuple[Task, Fitted]]) -> tuple[Mapping[str, float], ...]:
+    """Constants of the laws of hidden states by which other fits are nearly as likely."""
+    now, found = constants_of(task.layout.terms), []
+    for there, other in others:
+        values = {name: one.value for name, one in constants_of(there.layout.terms).items()}
+        apart = max(
+            (
+                abs(to_scale(now[name], value) - to_scale(now[name], now[name].value)) / extent(now[name])
+                for name, value in values.items()
+            ),
+            default=0.0,
+        )
+        if other.evidence > fitted.evidence - CLEARLY and apart > APART:
+            found.append(values)
+    return tuple(found)
 
 
 def learned_lags(
@@ -498,7 +528,7 @@ def refit_record(
         found = None
     task, most = former.task, np.maximum(LIKELIHOOD.adequate, former.kappa * (1.0 + 2.0 * former.kappa_error))
     if found is not None and found.own and (found.kappa <= most).all():
-        return found
+        return replace(found, rivals=former.rivals)
     log_odds = task.log_odds if task.ranges is None else task.log_odds - task.ranges
     stated, conserved = task.layout.stated, None
     if task.flows is not None:

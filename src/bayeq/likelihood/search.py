@@ -111,13 +111,13 @@ def rounds(task: Task, state: State, coarse: bool) -> tuple[Task, Fitted]:
     best = now = fit(task, state, coarse)
     seen = {now.model.tobytes()}
     for _ in range(ROUNDS):
-        task = widened(task, now) if coarse else task
-        state = likeliest(task, now)
-        model = task.model(state.chosen).tobytes()
-        if model in seen:
-            break
-        seen.add(model)
         try:
+            task = widened(task, now) if coarse else task
+            state = likeliest(task, now)
+            model = task.model(state.chosen).tobytes()
+            if model in seen:
+                break
+            seen.add(model)
             task = finer(task, state) if coarse else task
             now = fit(task, state, coarse)
         except np.linalg.LinAlgError:  # of no motion that it stays near

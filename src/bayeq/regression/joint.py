@@ -58,7 +58,7 @@ def record_of(
     """The likelihood of the records of a design; None where it is not used, or cannot be evaluated.
 
     Of constraints it takes what is stated of coefficients, and which terms are in for their bounds; `ties` are between
-    those of several equations, `others` the design with other first paths of a hidden state.
+    those of several equations, `others` the design at other starts of hidden states.
     """
     if smooth != "auto" or not design.motion.smoothed:
         return None
@@ -68,7 +68,7 @@ def record_of(
     log_odds = _log_odds(design, dictionary, prior)
     for own, odds in zip(constraints, log_odds, strict=False):  # of none there may be no constraints
         odds[:-1][own.forced & (odds[:-1] > -np.inf)] = np.inf
-    starts = [(one.motion, one.train) for one in others]
+    starts = [(one.motion, one.terms, one.train) for one in others]
     stated += ties
     return fit_record(design.motion, design.terms, log_odds, design.train, tolerance, tuple(stated), conserved, starts)
 
@@ -105,7 +105,8 @@ def _ones(design: Design) -> list[tuple[int, int]]:
     roles = design.motion.roles
     laws = [(c, int(np.flatnonzero(design.allowed[c])[0])) for c, chain in enumerate(roles.chains) if chain.stated]
     found = [chain for chain in roles.hidden if not chain.stated]
-    return [*laws, *(seen_in(chain, roles, design.terms, design.allowed) for chain in found)]
+    seen = [one for chain in found for one in seen_in(chain, roles, design.terms, design.allowed)]
+    return [*laws, *((one.equation, one.term) for one in seen if one.scaled)]
 
 
 def _of_dictionary(design: Design, dictionary: Specification, prior: Prior | None) -> Floats:

@@ -9,7 +9,7 @@ import numpy as np
 
 from bayeq.arrays import Floats
 from bayeq.errors import ChainError, InputError, require_texts
-from bayeq.expressions import Evaluator, Tape, parse
+from bayeq.expressions import Evaluator, Expression, Symbol, Tape, parse
 from bayeq.expressions.functions import TIME
 from bayeq.ode.rk4 import Drive, free_runs, interpolant
 from bayeq.states.roles import Chain, Roles
@@ -65,14 +65,19 @@ def hidden_columns(roles: Roles, columns: Mapping[str, Floats], time: Floats | N
 
     `columns` have everything else that the laws are functions of, `time` is in seconds.
     """
-    states = [chain.names[0] for chain in roles.hidden]
+    states = [name for chain in roles.hidden for name in chain.states]
     laws = [chain.law for chain in roles.hidden if chain.law is not None]
     if time is None:
         raise InputError("hidden states need time: name its column (time=, --time) or give the sampling rate (fs=)")
     known = {**columns, TIME: np.asarray(time, dtype=np.float64)}
     drivers = sorted({name for law in laws for name in law.names} - set(states))
     samples = np.column_stack([known[name] for name in drivers]) if drivers else np.zeros((len(time), 0))
-    tape = Tape.compile(laws, [*states, *drivers])
+    rates = [
+        rate
+        for chain, law in zip(roles.hidden, laws, strict=True)
+        for rate in (*(Expression(Symbol(name)) for name in chain.states[1:]), law)
+    ]
+    tape = Tape.compile(rates, [*states, *drivers])
     anywhere = np.full(len(states), np.inf)
     drive = Drive.over(time, interpolant(time, samples, "linear"), -anywhere, anywhere)
     drive = drive._replace(step=drive.step / SUBSTEPS)
@@ -95,13 +100,13 @@ def hidden_columns(roles: Roles, columns: Mapping[str, Floats], time: Floats | N
     found = {name: np.ascontiguousarray(values) for name, values in zip(states, path.T, strict=True)}
     found |= hidden_rates(roles, {**known, **found}, len(time))
     if not all(np.isfinite(values).all() for values in found.values()):
-        written = "; ".join(f"{chain.names[1]} = {law.text}" for chain, law in zip(roles.hidden, laws, strict=True))
+        written = "; ".join(f"{chain.target} = {law.text}" for chain, law in zip(roles.hidden, laws, strict=True))
         raise InputError(f"law {written[:80]}: not finite along the record; write abs() where a root or power needs it")
     return found
 
 
 def hidden_rates(roles: Roles, columns: Mapping[str, Floats], n: int) -> dict[str, Floats]:
-    """Rates of the hidden states by their laws, (n,) each."""
+    """Highest derivatives of the hidden states by their laws, (n,) each."""
     evaluate = Evaluator(columns)
-    laws = [(chain.names[1], chain.law) for chain in roles.hidden if chain.law is not None]
+    laws = [(chain.target, chain.law) for chain in roles.hidden if chain.law is not None]
     return {name: np.broadcast_to(evaluate(law), n).astype(np.float64) for name, law in laws}

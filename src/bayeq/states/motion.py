@@ -192,7 +192,9 @@ def with_hidden(motion: Motion, roles: Roles) -> Motion:
     """
     records = tuple(with_columns(rows, hidden_columns(roles, rows.columns, rows.time)) for rows in motion.records)
     gains = motion.unit_gains[: len(roles.chains) - len(roles.hidden)]
-    return replace(motion, roles=roles, records=records, unit_gains=(*gains, *(np.ones(2) for _ in roles.hidden)))
+    return replace(
+        motion, roles=roles, records=records, unit_gains=(*gains, *(np.ones(chain.order + 1) for chain in roles.hidden))
+    )
 
 
 def with_columns(rows: MotionRows, found: Mapping[str, Floats]) -> MotionRows:

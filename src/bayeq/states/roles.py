@@ -132,7 +132,7 @@ class Chain:
         if self.static:
             return f"{STATIC}{self.measured[0]}"
         if self.hidden:
-            return f"~{self.called[0]}:"
+            return f"~{self.called[0]}{':' * self.order}"
         if self.order == 1 and self.measured[1] is None and not self.discrete:
             return str(self.measured[0])
         return ":".join(m or (f"~{self.own_name(k)}" if self.own_name(k) else "") for k, m in enumerate(self.measured))
@@ -178,7 +178,7 @@ def parse_chain(text: str) -> Chain:
     if len(set(named)) < len(named):
         raise ChainError(f"chain {text[:60]!r} names a channel twice; {form}")
     measured = tuple(part if part and not part.startswith("~") else None for part in parts)
-    if not any(measured) and (len(parts) != 2 or parts[1]):
+    if not any(measured) and (not 1 < len(parts) < 4 or any(parts[1:])):
         raise ChainError(f"chain {text[:60]!r} has no measured channel; {form}")
     called = tuple(part[1:] if part.startswith("~") else None for part in parts)
     chain = Chain(measured, called if any(called) else ())

@@ -207,6 +207,10 @@ SIGNIFICANT = 4.0
 LEAST_ERROR = 0.005
 ENDS = 2.0
 
+# Straight lines over missing samples may cut off all peaks, as of a clipped channel: the amplitude is then smaller by
+# about this many times their share, for peaks are three standard deviations high.
+CUT_OFF = 9.0
+
 # An estimate is used if its error is a smaller factor than exp of this.
 MOST_ERROR = 1.0
 
@@ -302,7 +306,7 @@ def _estimated(records: Sequence[Record], cuts: Sequence[int], below: str, above
     """
     if order > MOST_ORDER:
         return None
-    cross, power, expected, count = 0.0, 0.0, 0.0, 0
+    cross, power, expected, count, missing = 0.0, 0.0, 0.0, 0, 0.0
     sizes = [_size(records, cuts, name) for name in (below, above)]
     for record, cut in zip(records, cuts, strict=True):
         if record.time is None or cut <= LEAST_LINES:
@@ -313,6 +317,7 @@ def _estimated(records: Sequence[Record], cuts: Sequence[int], below: str, above
             continue
         x, y = (bridged(record[name][:cut]) / size for name, size in zip((below, above), sizes, strict=True))
         lines, slopes, given = (_lines(values - values.mean(), step, k) for values, k in ((x, 0), (x, order), (y, 0)))
+        missing += sum(float(np.isnan(record[name][:cut]).sum()) for name in (below, above))
         strength = np.abs(lines) * np.abs(given)
         many = min(int(SHARE_OF_LINES * cut), int(np.count_nonzero(strength >= STRONG * strength.max())))
         strongest = np.argsort(-strength)[: max(LEAST_LINES, many)]
@@ -326,6 +331,7 @@ def _estimated(records: Sequence[Record], cuts: Sequence[int], below: str, above
         return None
     random = math.sqrt(max(1.0 - coherence, 0.0) / (2.0 * coherence * INDEPENDENT * count))
     error = max(LEAST_ERROR, ENDS / sum(cuts), SIGNIFICANT * random - 0.5 * math.log(coherence))
+    error += CUT_OFF * missing / sum(cuts)
     if error > MOST_ERROR:
         return None
     return _Estimate(math.copysign(math.sqrt(power / expected), cross) * sizes[1] / sizes[0], error)
