@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence, Set
+from typing import NamedTuple
 
 import numpy as np
 
+from bayeq.dictionary.families import degree
 from bayeq.equation.equation import Equation
 from bayeq.errors import AmbiguityWarning, DataWarning, TermWarning, WarningLog, some_of
 from bayeq.records import Record
@@ -91,16 +94,57 @@ def warn_of_terms(design: Design, log: WarningLog) -> None:
 # than this probability, and they vary by this share of the largest state.
 PARTS, CHANCE, MATTERS = 10, 1e-6, 0.05
 
+# A sum of some states, of no more than these, stays the same where its noise is below this share of the largest.
+MOST_SUMMED, STILL = 6, 0.3
+
 
 def warn_of_changes(conserve: str, weights: Mapping[int, float], motion: Motion, log: WarningLog) -> None:
     """Say where the samples of a sum, its weights by the number of the equation, contradict that it does not change."""
+    found = _change(weights, motion)
+    if found is not None and found.chance < CHANCE and found.slow > MATTERS * found.largest:
+        log.warn(
+            f"the record contradicts that {conserve} does not change: it varies with a sd of {found.slow:.3g}; check"
+            " units, or leave conserve out",
+            DataWarning,
+        )
+
+
+def warn_of_sums(design: Design, log: WarningLog) -> None:
+    """Say which sum of states stays the same: a term and its product with that sum are one and the same."""
+    chains, states = design.motion.roles.chains, set(design.motion.roles.states)
+    products = any(degree(term) > 1 and len(term.names & states) > 1 for term in design.terms)
+    if not products or not 2 <= len(chains) <= MOST_SUMMED or any(one.order != 1 or one.hidden for one in chains):
+        return
+    for count in range(2, len(chains) + 1):
+        for some in itertools.combinations(range(len(chains)), count):
+            found = _change(dict.fromkeys(some, 1.0), design.motion)
+            if found is not None and found.chance > CHANCE and found.sd < STILL * found.largest:
+                total = " + ".join(chains[c].names[0] for c in some)
+                log.warn(
+                    f"{total} does not change, so that its products with terms tell nothing: give --conserve '{total}'",
+                    TermWarning,
+                )
+                return
+
+
+class _Change(NamedTuple):
+    """How a sum of states changes along the training rows."""
+
+    chance: float  # probability of the changes of its means over parts of the records if it is constant
+    slow: float  # standard deviation of these means
+    sd: float  # of the sum
+    largest: float  # standard deviation of a state in it
+
+
+def _change(weights: Mapping[int, float], motion: Motion) -> _Change | None:
+    """The same of weights by the number of the equation; None of too few rows."""
     from scipy.special import fdtrc
 
     names = {motion.roles.chains[c].states[0]: weight for c, weight in weights.items()}
     between, within, parts, left, largest = 0.0, 0.0, 0, 0, 0.0
     for rows in motion.train:
         if not names.keys() <= rows.samples.keys():
-            return
+            return None
         columns = {name: weight * rows.samples[name] for name, weight in names.items()}
         total = sum(columns.values(), np.zeros(rows.n))
         total = total[np.isfinite(total)]
@@ -114,12 +158,7 @@ def warn_of_changes(conserve: str, weights: Mapping[int, float], motion: Motion,
         within += float(sum(np.sum((piece - mean) ** 2) for piece, mean in zip(pieces, means, strict=True)))
         parts, left = parts + PARTS - 1, left + len(total) - PARTS
     if not parts:
-        return
-    ratio = (between / parts) / max(within / left, 1e-300)
-    sd = math.sqrt(between / (left + parts))
-    if fdtrc(parts, left, ratio) < CHANCE and sd > MATTERS * largest:
-        log.warn(
-            f"the record contradicts that {conserve} does not change: it varies with a sd of {sd:.3g}; check units, or"
-            " leave conserve out",
-            DataWarning,
-        )
+        return None
+    ratio, rows_in_all = (between / parts) / max(within / left, 1e-300), left + parts
+    sd = math.sqrt((between + within) / rows_in_all)
+    return _Change(float(fdtrc(parts, left, ratio)), math.sqrt(between / rows_in_all), sd, largest)

@@ -16,6 +16,7 @@ from bayeq.discovery.cautions import (
     warn_of_changes,
     warn_of_other_terms,
     warn_of_sensors,
+    warn_of_sums,
     warn_of_terms,
     warn_of_zero,
 )
@@ -272,6 +273,7 @@ class Question:
         if self.conserved:
             warn_of_changes(self.conserve, self.conserved, design.motion, log)
             return asked(conserved=self.conserved), True, tuple(known)
+        warn_of_sums(design, log)
         free = asked()
         if not ties or free is None:
             return free, bool(ties), tuple(known)

@@ -265,7 +265,10 @@ class Soft:
         if tau not in self.sets:
             q, largest = self.quadratic(tau)
             found = average_models(self.task.problem(q))
-            found = replace(found, log_posterior=found.log_posterior + largest)
+            finite = np.isfinite(found.log_posterior)  # terms that are one and the same to rounding may overflow
+            if not finite.any():
+                raise np.linalg.LinAlgError("no model's evidence is finite")
+            found = _sorted(found, found.models[finite], found.log_posterior[finite] + largest)
             self.sets[tau] = self._with_constants(tau, found) if self.constants else found
         return self.sets[tau] if any(tau) else as_fitted(self.sets[tau], self.task, self.fitted)
 
