@@ -9,7 +9,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from bayeq.arrays import Bools, Floats
 from bayeq.dictionary import evaluate_terms
@@ -269,6 +268,8 @@ def _as_factor(
     Rates are those by the likeliest candidates for its changes over the time in which it forgets, for rates of what is
     left are mostly noise.
     """
+    from scipy.ndimage import gaussian_filter1d
+
     (chain,), paths = motion.roles.hidden, []
     own = [term for term, mine in zip(terms, allowed[-1], strict=True) if mine]
     for k, rows in enumerate(motion.records):
