@@ -1,5 +1,6 @@
 """Hidden states with stated laws: actuators that lag, tanks in a row, Bouc and Wen's hysteresis, and none; and with
-laws that are found: that hysteresis from all channels, from displacement alone, on a test machine, and none.
+laws that are found: that hysteresis from all channels, from displacement alone, on a test machine, and none; a mass at
+the end or in the middle of a row that nobody measures; Lorenz's z.
 
     python -m studies.hidden --first-seed 220000 > docs/tables/hidden.csv
 
@@ -124,6 +125,47 @@ def cubic(rng: np.random.Generator) -> Drawn:
     return {"x": x, "v": v, "a": a, "u": force(time)}, 100.0, truth, {}
 
 
+def masses(rng: np.random.Generator, middle: bool) -> Drawn:
+    """Two masses of which the second, or three of which the one in the middle, is not measured; displacements are."""
+    time, force = np.arange(ROWS) * 0.01, _waves(rng, 1.0, 18.0)
+    k, c, m = rng.uniform(50.0, 150.0, 3), rng.uniform(0.3, 0.8, 3), np.append(1.0, rng.uniform(0.6, 1.4, 2))
+    count = 3 if middle else 2
+
+    def rate(s: float, y: Floats) -> list[float]:
+        x, v = y[:count], y[count:]
+        pull = k[:count] * np.diff(x, prepend=0.0) + c[:count] * np.diff(v, prepend=0.0)
+        a = (np.append(pull[1:], 0.0) - pull) / m[:count]
+        a[0] += 10.0 * force(s)
+        return [*v.tolist(), *a.tolist()]
+
+    y = _states(rate, [0.0] * (2 * count), time)
+    first = {"x1": -k[0], "dx1": -c[0], "u": 10.0, "x1-x2": -k[1], "dx1-dx2": -c[1]}
+    second = {"x2-x1": -k[1] / m[1], "dx2-dx1": -c[1] / m[1]}
+    if not middle:
+        return {"x1": y[0], "u": force(time)}, 100.0, {"ddx1": first, "ddx2": second}, {}
+    second |= {"x2-x3": -k[2] / m[1], "dx2-dx3": -c[2] / m[1]}
+    third = {"x3-x2": -k[2] / m[2], "dx3-dx2": -c[2] / m[2]}
+    channels = {"x1": y[0], "x3": y[2], "u": force(time)}
+    return channels, 100.0, {"ddx1": first, "ddx3": third, "ddx2": second}, {}
+
+
+def lorenz(rng: np.random.Generator) -> Drawn:
+    """Lorenz's equations, x and y measured; z is the negative of theirs, by which x*z has the coefficient 1."""
+
+    def rate(s: float, y: Floats) -> list[float]:
+        return [10.0 * (y[1] - y[0]), 28.0 * y[0] - y[1] + y[0] * y[2], -y[0] * y[1] - 8.0 / 3.0 * y[2]]
+
+    time = np.arange(ROWS) * 0.01
+    settled = _states(rate, [*rng.normal(0.0, 5.0, 2).tolist(), -25.0], np.linspace(0.0, 10.0, 1000))[:, -1]
+    x, y, _ = _states(rate, settled.tolist(), time)
+    truth = {
+        "dx": {"x": -10.0, "y": 10.0},
+        "dy": {"x": 28.0, "y": -1.0, "x*z": 1.0},
+        "dz": {"x*y": -1.0, "z": -8.0 / 3.0},
+    }
+    return {"x": x, "y": y}, 100.0, truth, {}
+
+
 def _hysteretic(rng: np.random.Generator) -> Drawn:
     time = np.arange(ROWS) * 0.01
     k, c, b, g = rng.uniform(40.0, 80.0), rng.uniform(0.3, 1.0), rng.uniform(1.0, 3.0), rng.uniform(0.5, 1.5)
@@ -153,6 +195,31 @@ def _among(chain: str, target: str, v: str, inputs: Sequence[str]) -> dict[str, 
     return {"chains": [chain, "~r:"], "inputs": inputs, "dictionary": {target: seen, "dr": own}}
 
 
+# Each mass is pulled by its neighbours, the first by the ground and the force too.
+FIRST, THIRD = "x1, dx1, u, x1-x2, dx1-dx2, x1**3, (x1-x2)**3", "x3, dx3, x3-x2, dx3-dx2, (x3-x2)**3"
+END = {
+    "chains": ["x1::", "~x2::"],
+    "inputs": ["u"],
+    "dictionary": {"ddx1": FIRST, "ddx2": "x2-x1, dx2-dx1, (x2-x1)**3"},
+}
+MIDDLE = {
+    "chains": ["x1::", "x3::", "~x2::"],
+    "inputs": ["u"],
+    "dictionary": {
+        "ddx1": FIRST,
+        "ddx3": THIRD,
+        "ddx2": "x2-x1, dx2-dx1, x2-x3, dx2-dx3, (x2-x1)**3, (x2-x3)**3",
+    },
+}
+LORENZ = {
+    "chains": ["x", "y", "~z:"],
+    "dictionary": {
+        "dx": "x, y, x*y, x**2, y**2",
+        "dy": "x, y, x*z, x*y, x**2, y**2",
+        "dz": "x, y, z, x*y, x*z, y*z, x**2, y**2, z**2",
+    },
+}
+
 FULL, ALONE = {"a": "a", "v": "v"}, {"a": "ddx", "v": "dx"}
 
 SYSTEMS: dict[str, tuple[Callable[[np.random.Generator], Drawn], dict[str, Any]]] = {
@@ -166,6 +233,9 @@ SYSTEMS: dict[str, tuple[Callable[[np.random.Generator], Drawn], dict[str, Any]]
     "hysteresis found": (partial(_found, names=FULL), _among("x:v:a", "a", "v", ["u"])),
     "hysteresis found, x and u": (partial(_found, names=ALONE), _among("x::", "ddx", "dx", ["u"])),
     "damper found": (damper, _among("=F", "F", "v", ["x", "v"])),
+    "end mass found": (partial(masses, middle=False), END),
+    "middle mass found": (partial(masses, middle=True), MIDDLE),
+    "Lorenz's z found": (lorenz, LORENZ),
     "none found": (cubic, _among("x:v:a", "a", "v", ["u"])),
 }
 
@@ -176,8 +246,9 @@ def _judged(truth: dict[str, dict[str, float]], constants: dict[str, float], eqs
     found = judged([eqs[target] for target in truth if target in known], {t: truth[t] for t in truth if t in known})
     if missed := truth.keys() - known:
         found |= {"exact": False, "wrong": [*found["wrong"], *(f"{target}: -" for target in missed)]}
-    if "dr" in truth:
-        found["terms"] = {name: one for name, one in found["terms"].items() if not name.endswith(" r")}
+    if truth.keys() & {"dr", "dz"}:  # the scale of a hidden state is no estimate
+        kept = {name: one for name, one in found["terms"].items() if not name.endswith((" r", " x*z"))}
+        found["terms"] = kept
     ends = {one.name: one.ci95 for one in eqs.constants}
     inside = [ends[name][0] <= value <= ends[name][1] for name, value in constants.items() if name in ends]
     return {**found, "verdict": eqs.verdict.kind, "constants": len(inside), "constants_inside": sum(inside)}
