@@ -471,3 +471,17 @@ def test_states_go_by_their_names(record, found):
         found.simulate(record, initial=[0.0, 0.0])
     with pytest.raises(InputError, match=r"predict needs a Record .*, not str"):
         found.predict("run.csv")
+
+
+def test_a_run_of_dry_friction_is_as_exact_as_its_law():
+    """Against the exact solution of x'' = -x - c sign(x'): half circles about c and -c until it comes to rest."""
+    c, t = 0.02, np.arange(600) * 0.1
+    half, within = np.divmod(t, np.pi)
+    x = (-1.0) ** half * ((1.0 - c - 2.0 * c * half) * np.cos(within) + c)
+    v = -((-1.0) ** half) * (1.0 - c - 2.0 * c * half) * np.sin(within)
+    record = bq.Record.from_arrays({"x": x, "v": v, "a": -x - c * np.sign(v)}, time=t)
+    eq = bq.discover(record, chains="x:v:a", dictionary="x, sign(v)", smooth="none")
+    run = eq.simulate(record, draws=0).mean["x"][:450]
+    law = eq[0].shown_coef
+    assert law["sign(v)"] == pytest.approx(-c, rel=1e-3)
+    assert np.sqrt(np.mean((run - x[:450]) ** 2)) < 2e-4
