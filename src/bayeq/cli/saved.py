@@ -120,6 +120,10 @@ def predict(
     from bayeq.equation.load import load
 
     found = load(equations)
+    if forecast is not None:
+        from bayeq.equation.along import require_states
+
+        require_states(found)
     names = found.roles.channels
     paths = paths_of(channels, names)
     with Progress(verbose) as progress:

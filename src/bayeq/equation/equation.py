@@ -210,9 +210,19 @@ class Equation:
 
     @property
     def at_ends(self) -> tuple[str, ...]:
-        """What is to be said of constants at the ends of the ranges in which they were sought."""
+        """What is to be said of constants at the ends of the ranges in which they were sought, and of forms without a
+        likelihood.
+        """
         units = self.constant_units
-        return tuple(text for one in self.shown_constants for text in written.at_end(one, units.get(one.name, "")))
+        ends = (text for one in self.shown_constants for text in written.at_end(one, units.get(one.name, "")))
+        return *ends, *map(written.left_out_form, self._not_compared)
+
+    @property
+    def _not_compared(self) -> tuple[str, ...]:
+        """Candidates of this equation that are members of an either-or of which the likelihood was not finite."""
+        pip = dict(zip(self.posterior.names, self.posterior.pip.tolist(), strict=True))
+        own = [(choice, found) for choice, found in self.forms.items() if any(pip.get(name) for name in found)]
+        return tuple(name for choice, found in own for name in choice.split(" | ") if name in pip and name not in found)
 
     @property
     def shown(self) -> tuple[str, ...]:
