@@ -133,6 +133,10 @@ def test_exports_and_saved_files_solve_for_the_accelerations(
     scope: dict[str, object] = {}
     exec(eqs.to_code("python"), scope)  # noqa: S102 - the code is what the test is about
     np.testing.assert_allclose(scope["rhs"](0.0, y.tolist()), expected, rtol=1e-9)  # type: ignore[operator]
+    for latex in (eqs.to_latex(), eqs.to_dict()["equations"][0]["latex"], eqs.to_latex("brackets")):
+        assert r"\ddot{q} \cos" in latex
+        assert r"\dot{q}^{2}" in latex
+        assert r"\,-" not in latex
     eqs.save(tmp_path / "found.json")
     again = bq.load(tmp_path / "found.json")
     assert str(again) == str(eqs)

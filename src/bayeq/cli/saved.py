@@ -124,7 +124,7 @@ def predict(
         from bayeq.equation.along import require_states
 
         require_states(found)
-    names = found.roles.channels
+    names = [name for name in found.roles.channels if name not in found.numbers]
     paths = paths_of(channels, names)
     with Progress(verbose) as progress:
         records = reading.records(files, names, paths, progress)

@@ -6,6 +6,8 @@ import math
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
 
+import numpy as np
+
 from bayeq.equation.answer import with_shown
 from bayeq.equation.equation import Equation, RunnerUp
 from bayeq.equation.verdict import LEAST_SHOWN, Verdict, doubted, judge, noise_share, window_errors
@@ -90,6 +92,8 @@ def build_equation(selection: Selection, window: tuple[float, str] | None) -> Eq
     shown = selection.reported
     same = selection.shown is fit.posterior
     posterior = shown if same else fit.reported(fit.posterior)
+    if regression.chain.stated:  # all of it is in, with the coefficient 1
+        shown, posterior = (replace(one, coef=one.support.astype(np.float64)) for one in (shown, posterior))
     train, held_out = regression.fit(shown), regression.held_out_fit(shown)
     # of a few rows that are held out an estimated target knows next to nothing
     by_rest = held_out is not None and _numbers(regression) * held_out.n >= LEAST_NUMBERS
