@@ -33,6 +33,8 @@ def test_a_tie_is_read() -> None:
     [
         ("a1: x1-x2 == 0*(a2: x2-x1)", InputError),
         ("a1: x1-x2 == (a2: )", InputError),
+        ("a1: x1-x2 == 2*(a2: x2-x1", InputError),
+        ("a1: x1-x2 == 2*a2: x2-x1)", InputError),
         ("a1: x1-x2 <= a2: x2-x1", InputError),
         ("a1: x1-x2 == a3: x2-x1", UnknownNameError),
         ("a1: x1-x2 == a2: x9", UnknownNameError),

@@ -259,9 +259,9 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
             DataWarning,
         )
     for name, (end, free, sds) in beyond.items():
-        relation = "<=" if free > end else ">="
+        relation, by = "<=" if free > end else ">=", f"{sds:.2g}" if sds < 10.0 else f"{sds:.0f}"
         log.warn(
-            f"{target}: the record contradicts {name} {relation} {end:.4g} by {sds:.2g} standard deviations (free:"
+            f"{target}: the record contradicts {name} {relation} {end:.4g} by {by} standard deviations (free:"
             f" {free:.4g}): check units, or drop it",
             DataWarning,
         )

@@ -300,7 +300,7 @@ def left_beside_noise(equation: Equation) -> str | None:
     share = equation.residuals.discrepancy if equation.error_share is None else equation.error_share
     if share is None:
         return None
-    return f"{100 * share:.2g} %" if share > LEAST_SHOWN else f"less than {100 * LEAST_SHOWN:g} %"
+    return percentages({"": share}).strip() if share > LEAST_SHOWN else f"less than {100 * LEAST_SHOWN:g} %"
 
 
 def _chance(p: float) -> str:
