@@ -106,9 +106,11 @@ def given_of(eq: Answer) -> list[str]:
 
 def hidden_of(eq: Answer) -> list[str]:
     """Odds of the equations without hidden states."""
-    return [
-        f"hidden {one.state}: odds of the equations without it {odds_text(one.log_odds_without)}" for one in eq.hidden
-    ]
+    out = []
+    for one in eq.hidden:
+        odds = odds_text(one.log_odds_without) if math.isfinite(one.log_odds_without) else "not known, no fit has it"
+        out.append(f"hidden {one.state}: odds of the equations without it {odds}")
+    return out
 
 
 def lags_of(eq: Answer) -> list[str]:

@@ -538,7 +538,8 @@ def repeat_command(eq: Answer) -> str:
         if not EARLIER.fullmatch(name) and name not in eq.numbers:  # which terms ask for
             words += ["--input", name]
     refused = {one.state for one in eq.hidden} - {*eq.states}
-    dictionary = without_names(eq.dictionary, refused | {f"d{state}" for state in refused}, FAMILIES.keys())
+    gone = {"d" * k + state for state in refused for k in range(3)}  # with its rates
+    dictionary = without_names(eq.dictionary, gone, FAMILIES.keys())
     words += ["--dictionary", dictionary, "--method", eq.method, "--smooth", eq.smooth]
     words += ["--differs", ", ".join(eq.differing)] if eq.numbers else []
     for constraint in eq.constraints:
