@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import shlex
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 import bayeq as bq
+from bayeq.cli.app import main
+from bayeq.equation.report.page import repeat_command
 from bayeq.errors import BayeqWarning, InputError, UnknownNameError
 from bayeq.expressions import parse
 from bayeq.likelihood.fit import of_stated
@@ -28,6 +33,8 @@ def test_a_tie_is_read() -> None:
     [
         ("a1: x1-x2 == 0*(a2: x2-x1)", InputError),
         ("a1: x1-x2 == (a2: )", InputError),
+        ("a1: x1-x2 == 2*(a2: x2-x1", InputError),
+        ("a1: x1-x2 == 2*a2: x2-x1)", InputError),
         ("a1: x1-x2 <= a2: x2-x1", InputError),
         ("a1: x1-x2 == a3: x2-x1", UnknownNameError),
         ("a1: x1-x2 == a2: x9", UnknownNameError),
@@ -150,6 +157,28 @@ def test_a_record_of_another_mass_differs_in_every_coefficient_and_no_other_reco
         assert eq.shown_coef[f"{name}*run3"] == pytest.approx(-eq.shown_coef[name] / 3.0, rel=0.2)
     (same,) = bq.discover(_runs(1.0), dictionary="x, v, u, x**3", differs="x, u", **ask)
     assert set(same.shown) == set(names)
+
+
+def test_records_that_differ_are_numbered_as_in_the_fit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = [tmp_path / f"{k}.csv" for k in range(3)]
+    for file, record in zip(files, _runs(1.5), strict=True):
+        bq.write(record, file)
+    given, saved = [str(file) for file in files], str(tmp_path / "eq.json")
+    asked = ["discover", *given, "--chain", "x:v:a", "--input", "u", "--dictionary", "x, v, u", "--differs", "x, v, u"]
+    assert main([*asked, "--save", saved, "--forecast", str(tmp_path / "runs.csv")]) == 0
+    assert "run2 0" not in capsys.readouterr().out
+    assert main(["predict", saved, *given]) == 0
+    assert "free runs follow the record" in capsys.readouterr().out
+    assert main(["predict", saved, *given[:2]]) == 2
+    said = capsys.readouterr().err
+    assert "differ between the 3 records of the equations: give as many, in that order, or channels run2, run3" in said
+    eq = bq.load(saved)
+    assert eq.score(_runs(1.5)).one_step["a"] < 0.1
+    marked = _runs(1.5)[2].with_channels({"run2": np.zeros(250), "run3": np.ones(250)})
+    assert eq.score(marked).one_step["a"] < 0.1
+    words = shlex.split(repeat_command(eq))
+    assert words[words.index("--differs") + 1] == "x, v, u"
+    assert "run2" not in words
 
 
 def test_differences_need_records_and_candidates() -> None:

@@ -411,6 +411,41 @@ def test_bad_dictionaries(run: Run, folder: Path, text: str, parts: list[str]) -
     assert_refused(run("discover", "run.csv", *CHANNELS, "--dictionary", text), *parts)
 
 
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--chain", "x", "--dictionary", "x; v; u"], "brackets and functions, and commas between terms"),
+        (["--chain", "x", "--dictionary", "x, where(v => {c}, 1, 0)"], "'=>' at column 9 is not allowed: write >="),
+        (["--chain", "x", "--dictionary", "x, v"], "has it: name it as an input, --input v"),
+        (["--chain", "x", "--dictionary", "x, q"], "if it is hidden, state its rate, --law 'dq = ...'"),
+        (["--target", "a", "--input", "x", "--dictionary", "x, v"], "has it: name it as an input, --input v"),
+        (["--target", "a", "--input", "x", "--dictionary", "x, a"], "a is what the law gives: leave it out"),
+        (["--chain", "x", "--dictionary", "x, x[1]", "--discrete"], "earlier samples of maps are x[-1] to x[-20]"),
+        (["--chain", "x", "--dictionary", "x, x(-1)", "--discrete"], "an earlier sample of a map is written x[-1]"),
+        (["--chain", "x", "--dictionary", "x, x(k-2)", "--discrete"], "an earlier sample of a map is written x[-2]"),
+        (["--chain", "x", "--chain", "v", "--conserve", "x, v"], "conserve 'x, v': write the sum alone: x + v"),
+        (["--chain", "x", "--chain", "v", "--conserve", "x+v = 1"], "conserve 'x+v = 1': write the sum alone: x+v"),
+    ],
+)  # fmt: skip
+def test_what_was_meant_is_told(run: Run, options: list[str], said: str) -> None:
+    assert_refused(run("discover", "run.csv", *options), said)
+
+
+@pytest.mark.parametrize(
+    ("law", "said"),
+    [
+        ("df = (u - f)/tau", "law df: expression '(u - f)/tau', column 9: no channel named 'tau'"),
+        ("df = (u - f)/tau", "an unknown constant is written {tau}"),
+        ("df = (u - f)/{tau", "law df: expression"),
+        ("df == (u - f)/{tau}", "with one ="),
+        ("ddf = (u - f)/{tau}", "it is of first order; write two laws, df = g and dg = ..."),
+    ],
+)
+def test_a_law_that_is_none_is_told_as_one(run: Run, law: str, said: str) -> None:
+    options = ["--chain", "x::", "--input", "u", "--dictionary", "x, dx, f", "--law", law]
+    assert_refused(run("discover", "run.csv", *options), said)
+
+
 def test_dictionaries_of_equations(run: Run) -> None:
     one, two = ("--dictionary", "x, v, u"), ("--dictionary", "oscillator:2")
     assert_refused(run("discover", "run.csv", *CHANNELS, *one, *two), "--dictionary is given more than once")

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import json
 import math
+import re
+import shlex
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
+import sympy
 from scipy.integrate import solve_ivp
 
 import bayeq as bq
 from bayeq.cli.app import main
 from bayeq.equation.answer import HiddenState
+from bayeq.equation.report.page import repeat_command
 from bayeq.errors import BayeqError, ChainError, InputError
 from bayeq.expressions import Unknown
 from bayeq.states import Roles, with_laws
@@ -126,12 +130,31 @@ def test_a_hidden_state_that_is_not_needed_is_left_out():
     assert [one.target for one in eq] == ["ddx"]
     assert set(eq["ddx"].included) == {"x", "dx", "u", "x**3"}
     assert eq.hidden[0].log_odds_without > -3.0
+    words = shlex.split(repeat_command(eq))
+    assert "--law" not in words
+    assert words[words.index("--dictionary") + 1] == "ddx: x, dx, x**2, x**3, dx*abs(dx), u"
 
 
 def test_what_is_printed():
     text = str(answer())
     assert "df = (u-f)/{tau}" in text
     assert "hidden f: odds of the equations without it 1:" in text
+
+
+def test_a_stated_law_is_written_as_it_was_stated(tmp_path):
+    eq = answer()
+    f, u = sympy.symbols("f u")
+    assert sympy.simplify(eq["df"].to_sympy().rhs * eq.constants[0].value / (u - f) - 1) == 0
+    assert eq["df"].to_latex("brackets") == r"\dot{f} = \frac{- f + u}{\tau}"
+    assert eq["df"].coef == {"(u-f)/{tau}": 1.0}
+    words = shlex.split(repeat_command(eq))
+    assert re.fullmatch(r"df = \(u-f\)/\{tau: [\d.]+\.\.[\d.]+\}", words[words.index("--law") + 1])
+    assert "~f:" not in words
+    eq.report(tmp_path / "out.html")
+    page = " ".join(re.sub(r"<[^>]+>", " ", (tmp_path / "out.html").read_text(encoding="utf-8")).split())
+    assert "Hidden f: odds of the equations without it 1:" in page
+    assert len(re.findall(r"intercept (?:none|[-\d\N{MINUS SIGN}])", page)) == 1
+    assert page.count("more candidates are not included") == 1
 
 
 def test_saved_answers_run_and_predict_as_before(tmp_path):

@@ -20,7 +20,13 @@ TARGETS = ("a1", "a2")
 
 @pytest.mark.parametrize(
     ("text", "which", "rest"),
-    [("a2*cos(p-q)", 1, "cos(p-q)"), ("-a1/x", 0, "-1/x"), ("sin(p)*(a2*x)", 1, "sin(p)*x"), ("a1", 0, "1")],
+    [
+        ("a2*cos(p-q)", 1, "cos(p-q)"),
+        ("-a1/x", 0, "-1/x"),
+        ("sin(p)*(a2*x)", 1, "sin(p)*x"),
+        ("a1", 0, "1"),
+        ("5*(a2*x/(3+p)-a2*x/(2+p))", 1, "5*(x/(3+p)-x/(2+p))"),
+    ],
 )
 def test_a_highest_derivative_is_taken_out_of_a_product(text: str, which: int, rest: str) -> None:
     part = multiplied(parse(text), TARGETS)
@@ -28,7 +34,7 @@ def test_a_highest_derivative_is_taken_out_of_a_product(text: str, which: int, r
     assert (part[0], part[1].text) == (which, rest)
 
 
-@pytest.mark.parametrize("text", ["a1**2", "sin(a1)", "a1*a2", "a1+x", "x/a1"])
+@pytest.mark.parametrize("text", ["a1**2", "sin(a1)", "a1*a2", "a1+x", "x/a1", "a1*x-a1*(x+a1)", "a1*x-a2*x"])
 def test_terms_that_are_not_proportional_to_one_are_refused(text: str) -> None:
     with pytest.raises(ValueError, match="not proportional"):
         multiplied(parse(text), TARGETS)
@@ -127,6 +133,10 @@ def test_exports_and_saved_files_solve_for_the_accelerations(
     scope: dict[str, object] = {}
     exec(eqs.to_code("python"), scope)  # noqa: S102 - the code is what the test is about
     np.testing.assert_allclose(scope["rhs"](0.0, y.tolist()), expected, rtol=1e-9)  # type: ignore[operator]
+    for latex in (eqs.to_latex(), eqs.to_dict()["equations"][0]["latex"], eqs.to_latex("brackets")):
+        assert r"\ddot{q} \cos" in latex
+        assert r"\dot{q}^{2}" in latex
+        assert r"\,-" not in latex
     eqs.save(tmp_path / "found.json")
     again = bq.load(tmp_path / "found.json")
     assert str(again) == str(eqs)
@@ -166,3 +176,27 @@ def test_dry_friction_beside_another_s_acceleration() -> None:
     assert set(eq["ddx"].included) == {"x", "u", "sign(dx)", "ddy"}
     assert set(eq["ddy"].included) == {"y", "dy", "ddx"}
     assert eq["ddx"].shown_coef["sign(dx)"] == pytest.approx(-3.0, rel=0.1)
+
+
+def test_a_constant_beside_another_s_highest_derivative_is_found() -> None:
+    """dx = u - 2 x - .8 dy/(K + x**2), dy = -y + .6 dx, with K = 1.5."""
+    rng, t = np.random.default_rng(5), np.arange(400) * 0.02
+    w, phase = rng.uniform(1.0, 9.0, 6), rng.uniform(0.0, 6.0, 6)
+
+    def push(s):
+        return np.sin(np.multiply.outer(s, w) + phase).sum(axis=-1)
+
+    def rate(s, state):
+        x, y = state
+        near = 0.8 / (1.5 + x**2)
+        return np.linalg.solve([[1.0, near], [-0.6, 1.0]], [push(s) - 2.0 * x, -y])
+
+    states = solve_ivp(rate, (0.0, t[-1]), [1.0, 0.5], t_eval=t, rtol=1e-8, atol=1e-10).y
+    channels = {"x": states[0], "y": states[1], "u": push(t)}
+    noisy = {name: one + 0.002 * one.std() * rng.standard_normal(400) for name, one in channels.items()}
+    record = bq.Record.from_arrays(noisy, time=t)
+    dictionary = {"dx": "x, u, dy/({K}+x**2)", "dy": "y, dx"}
+    eq = bq.discover(record, chains=["x", "y"], inputs=["u"], dictionary=dictionary)
+    assert [one.shown for one in eq] == [("x", "u", "dy/({K}+x**2)"), ("y", "dx")]
+    low, high = eq.constants[0].ci95
+    assert low < 1.5 < high

@@ -143,6 +143,7 @@ def test_refusals(late, tmp_path, capsys):
         ({"q": SD}, {}, UnknownNameError, "lag_sd: no channel named 'q'"),
         ({"u": "2%"}, {}, InputError, "seconds"),
         ({"u": 0.0}, {}, InputError, "above 0"),
+        ({"u": 0.11 * record.n / record.fs}, {}, InputError, "more than a tenth of the longest record"),
         ({"u": SD}, {"smooth": "none"}, InputError, "lags are learned by the likelihood"),
         (dict.fromkeys("xvau", SD), {}, InputError, "only lags against other channels show"),
     ]:

@@ -469,3 +469,19 @@ def test_an_input_that_changes_in_the_last_rows_alone_holds_none_out():
         eqs = bq.discover(record, chains="x", inputs=["u"], discrete=True, dictionary="x, u, x**2")
     assert set(eqs.equations[0].shown) == {"x", "u"}
     assert eqs.equations[0].held_out is None
+
+
+def test_a_form_that_is_not_finite_beside_the_motion_is_left_out_and_said() -> None:
+    """A power of populations that noise makes negative; the true form is found whichever comes first."""
+    rng, records = np.random.default_rng(11), []
+    for first in (3.0, 0.5):
+        x = np.full(120, first)
+        for k in range(119):
+            x[k + 1] = x[k] * np.exp(2.9 * (1.0 - x[k] / 8.0))
+        records.append(bq.Record({"x": x + 0.05 * x.std() * rng.standard_normal(120)}))
+    ask = {"chains": "x", "discrete": True, "dictionary": "x, x/(1+(x/{L})**{n}) | x*exp(-x/{K})"}
+    with pytest.warns(DataWarning, match=r"x/\(1\+\(x/\{L\}\)\*\*\{n\}\) is left out, not finite"):
+        eq = bq.discover(records, **ask)
+    assert eq[0].shown == ("x*exp(-x/{K})",)
+    assert eq.constants[-1].value == pytest.approx(8.0 / 2.9, rel=0.02)
+    assert "write abs() in its powers and roots" in " ".join(str(eq).split())

@@ -216,6 +216,9 @@ def test_the_command_line(record: bq.Record, tmp_path, capsys) -> None:
     assert "F = " in capsys.readouterr().out
     assert main(["predict", str(saved), str(file)]) == 0
     assert "F, single step" in capsys.readouterr().out
+    for runs in ("runs.csv", "runs.png"):
+        assert main(["predict", str(saved), str(file), "--forecast", str(tmp_path / runs)]) == 2
+        assert "static laws: nothing is integrated" in capsys.readouterr().err
     for more, message in (
         (["--refine"], "static laws (--target) do not have"),
         (["--stream"], "static laws need the record in memory"),

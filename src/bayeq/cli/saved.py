@@ -120,7 +120,11 @@ def predict(
     from bayeq.equation.load import load
 
     found = load(equations)
-    names = found.roles.channels
+    if forecast is not None:
+        from bayeq.equation.along import require_states
+
+        require_states(found)
+    names = [name for name in found.roles.channels if name not in found.numbers]
     paths = paths_of(channels, names)
     with Progress(verbose) as progress:
         records = reading.records(files, names, paths, progress)

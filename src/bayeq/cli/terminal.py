@@ -293,6 +293,9 @@ class Outputs:
         Each is done whatever becomes of the others: what was found is printed although a file cannot be written, which
         is an InputError at the end.
         """
+        from bayeq.states.prepare import numbered
+
+        records = numbered(records, found.numbers)
         if self.refine:
             progress("refining", 0, 1)
         answer = found.refine(records, holdout=holdout) if self.refine else found

@@ -89,6 +89,26 @@ def split_at(text: str, mark: str = ",") -> list[str]:
     return [part.strip() for part in parts]
 
 
+def without_names(text: str, names: Set[str], families: Set[str]) -> str:
+    """A dictionary without the terms that some names are in, and the equations of these.
+
+    Examples
+    --------
+    >>> without_names("a: oscillator + f - x*f, v, u-f, f | sign(v); df: u", {"f", "df"}, {"oscillator"})
+    'a: oscillator, v, sign(v)'
+    """
+    if names.isdisjoint(re.findall(r"\w+", text)):
+        return text
+    if (pieces := split_at(text, ";"))[1:]:
+        own = [(target.strip(), terms) for target, _, terms in (piece.partition(":") for piece in pieces)]
+        return "; ".join(f"{one}: {without_names(terms, names, families)}" for one, terms in own if one not in names)
+    for mark, between in ((",", ", "), ("|", " | ")):
+        if (pieces := split_at(text, mark))[1:]:
+            return between.join(filter(None, (without_names(piece, names, families) for piece in pieces)))
+    kept = [part for part in members([text], families) or () if names.isdisjoint(re.findall(r"\w+", part.text))]
+    return " ".join(f"{'-' if part.left_out else '+'} {part.text}" for part in kept).removeprefix("+ ")
+
+
 def of_equations(specification: Specification, targets: Sequence[str]) -> dict[str, str | Sequence[str]] | None:
     """The dictionary of each equation, by its target; None where all have the same.
 

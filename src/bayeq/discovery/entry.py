@@ -29,7 +29,7 @@ from bayeq.expressions import Expression
 from bayeq.expressions.parse import EARLIER
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.prior import Prior
-from bayeq.records import as_records, with_row_numbers
+from bayeq.records import Record, as_records, with_row_numbers
 from bayeq.records.stream import RecordStream, Stream, open_streams, streamed_unasked
 from bayeq.regression.constraints import parse_conserved, parse_constraints, parse_ties
 from bayeq.regression.joint import JOINT
@@ -224,9 +224,36 @@ def discover(
     """
     given = dict(locals())
     asked = {name: value for name, value in given.items() if name not in SOURCES}
-    answer, log = _answer(question_of(**asked), records, t, stream, client, checkpoint)
+    try:
+        question = question_of(**asked)
+    except InputError as error:
+        advice = _advice(error, records, asked)
+        if not advice:
+            raise
+        raise InputError(f"{error}; {advice}") from error
+    answer, log = _answer(question, records, t, stream, client, checkpoint)
     log.emit(stacklevel=3)
     return answer
+
+
+def _advice(error: InputError, records: Any, asked: Mapping[str, Any]) -> str:
+    """What to do about a name in a dictionary that is not among the channels that were named; empty if not known."""
+    cause: BaseException | None = error
+    while cause is not None and not isinstance(cause, UnknownNameError):
+        cause = cause.__cause__
+    said, given = str(error), records if isinstance(records, list | tuple) else [records]
+    sought = cause is not None and "expression '" in said and f"no channel named {cause.name!r}" in said
+    if cause is None or not sought or not all(isinstance(record, Record) for record in given):
+        return ""
+    name, targets = cause.name, asked["target"] or ()
+    if name in (targets.split(",") if isinstance(targets, str) else targets):
+        return f"{name} is what the law gives: leave it out of its terms"
+    if any(name in record.channels for record in given):
+        return f"the record has it: name it as an input, --input {name}"
+    moving = asked["chains"] or asked["displacement"] or asked["velocity"] or asked["acceleration"]
+    if "did you mean" in said or f"{{{name}}}" in said or asked["discrete"] or not moving:
+        return ""
+    return f"if it is hidden, state its rate, --law 'd{name} = ...'"
 
 
 def question_of(

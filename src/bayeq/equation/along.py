@@ -81,10 +81,15 @@ def predictions(eq: Answer, record: Record, return_std: bool) -> Any:
     return np.column_stack(parts)
 
 
-def free_run(eq: Answer, record: Record, *, interpolation: Interpolation | None = None, **how: Any) -> Forecast:
-    """See `Equations.simulate`, whose other arguments go to `forecast`."""
+def require_states(eq: Answer) -> None:
+    """Refuse free runs of static laws alone, by an InputError."""
     if not eq.states:
         raise InputError(f"{_static_laws(eq)}: nothing is integrated; predict(record) gives them row by row")
+
+
+def free_run(eq: Answer, record: Record, *, interpolation: Interpolation | None = None, **how: Any) -> Forecast:
+    """See `Equations.simulate`, whose other arguments go to `forecast`."""
+    require_states(eq)
     return forecast(
         eq.dynamics(),
         record,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -16,7 +17,7 @@ from bayeq.equation.equation import Equation
 from bayeq.equation.verdict import Verdict, worst
 from bayeq.errors import InputError
 from bayeq.export.functions import Uncertainty
-from bayeq.expressions import Evaluator, Expression
+from bayeq.expressions import Binary, Evaluator, Expression, Symbol
 from bayeq.expressions.functions import TIME
 from bayeq.forecast.score import Scores
 from bayeq.inference.posterior import Posterior
@@ -229,6 +230,25 @@ class Answer:
         return Roles(self.chains, self.inputs).for_terms(term for equation in self.equations for term in equation.terms)
 
     @property
+    def differing(self) -> tuple[str, ...]:
+        """Terms whose coefficients may differ by record, each beside an input that numbers one, ``x*run2``."""
+        trees = [term.tree for equation in self.equations for term in equation.terms]
+        numbered = [
+            tree for tree in trees if isinstance(tree, Binary) and tree.op == "*" and tree.right in self._numbers
+        ]
+        return tuple(dict.fromkeys(Expression(tree.left).text for tree in numbered))
+
+    @property
+    def numbers(self) -> tuple[str, ...]:
+        """Inputs that number records whose coefficients differ, 1 in one of them and 0 in others: run2, run3."""
+        return tuple(one.name for one in self._numbers) if self.differing else ()
+
+    @cached_property
+    def _numbers(self) -> list[Symbol]:
+        names = [name for name in self.inputs if re.fullmatch(r"run[1-9]\d*", name)]
+        return list(map(Symbol, names)) if names == [f"run{k}" for k in range(2, len(names) + 2)] else []
+
+    @property
     def constants(self) -> tuple[ConstantEstimate, ...]:
         """Constants inside the terms of all equations, each once."""
         return tuple({one.name: one for equation in self.equations for one in equation.constants}.values())
@@ -282,7 +302,7 @@ class Answer:
         aligned : bool
             Whether the lines stand in an ``aligned`` environment, equal signs below each other.
         """
-        lines = [equation.to_latex(uncertainty) for equation in self.equations]
+        lines = [equation.to_latex(uncertainty, self.chains) for equation in self.equations]
         if not aligned:
             return " \\\\\n".join(lines)
         body = " \\\\\n".join(line.replace(" = ", " &= ", 1) for line in lines)

@@ -26,7 +26,7 @@ from bayeq.numerics.settings import EQUATION
 from bayeq.records import Record, counts_rows
 from bayeq.records.names import conversion
 from bayeq.states import estimate_motion
-from bayeq.states.prepare import in_samples
+from bayeq.states.prepare import in_samples, numbered
 
 # Runs that err by more than this share of the spread follow a record only roughly.
 ROUGHLY = 0.3
@@ -161,6 +161,7 @@ def apply_to(equations: Equations, records: Sequence[Record], draws: int = 200, 
     units that cannot be converted, no time. DataWarning: samples that are missing or left out.
     """
     notes: list[str] = []
+    records = numbered(records, equations.numbers)
     if equations.roles.discrete:
         records = [in_samples(record, equations.roles) for record in records]
     for name in equations.roles.channels:

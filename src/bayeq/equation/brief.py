@@ -83,7 +83,7 @@ def sentence(eq: Answer) -> str:
         return printable(str(verdict).partition(": ")[2].removeprefix("no equation found: "))
     ranges = []
     for name in dict.fromkeys([*(n for one in eq.equations for n in one.chain.states), *eq.inputs]):
-        if name in eq.data.measured.ranges:
+        if name in eq.data.measured.ranges and name not in eq.numbers:
             low, high = eq.data.measured.ranges[name]
             unit = eq.equations[0].units.get(name, "")
             ends = [f"{end:.2g}" if abs(end) < 100.0 else f"{end:.3g}" for end in (low, high)]

@@ -93,6 +93,8 @@ def build_equation(selection: Selection, window: tuple[float, str] | None) -> Eq
     shown = selection.reported
     same = selection.shown is fit.posterior
     posterior = shown if same else fit.reported(fit.posterior)
+    if regression.chain.stated:  # all of it is in, with the coefficient 1
+        shown, posterior = (replace(one, coef=one.support.astype(np.float64)) for one in (shown, posterior))
     train, held_out = regression.fit(shown), regression.held_out_fit(shown)
     # of a few rows that are held out an estimated target knows next to nothing
     by_rest = held_out is not None and _numbers(regression) * held_out.n >= LEAST_NUMBERS
@@ -296,9 +298,9 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
             DataWarning,
         )
     for name, (end, free, sds) in beyond.items():
-        relation = "<=" if free > end else ">="
+        relation, by = "<=" if free > end else ">=", f"{sds:.2g}" if sds < 10.0 else f"{sds:.0f}"
         log.warn(
-            f"{target}: the record contradicts {name} {relation} {end:.4g} by {sds:.2g} standard deviations (free:"
+            f"{target}: the record contradicts {name} {relation} {end:.4g} by {by} standard deviations (free:"
             f" {free:.4g}): check units, or drop it",
             DataWarning,
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, get_args
@@ -210,9 +210,19 @@ class Equation:
 
     @property
     def at_ends(self) -> tuple[str, ...]:
-        """What is to be said of constants at the ends of the ranges in which they were sought."""
+        """What is to be said of constants at the ends of the ranges in which they were sought, and of forms without a
+        likelihood.
+        """
         units = self.constant_units
-        return tuple(text for one in self.shown_constants for text in written.at_end(one, units.get(one.name, "")))
+        ends = (text for one in self.shown_constants for text in written.at_end(one, units.get(one.name, "")))
+        return *ends, *map(written.left_out_form, self._not_compared)
+
+    @property
+    def _not_compared(self) -> tuple[str, ...]:
+        """Candidates of this equation that are members of an either-or of which the likelihood was not finite."""
+        pip = dict(zip(self.posterior.names, self.posterior.pip.tolist(), strict=True))
+        own = [(choice, found) for choice, found in self.forms.items() if any(pip.get(name) for name in found)]
+        return tuple(name for choice, found in own for name in choice.split(" | ") if name in pip and name not in found)
 
     @property
     def shown(self) -> tuple[str, ...]:
@@ -398,7 +408,7 @@ class Equation:
         for value, sd, term in self.summands:
             number = written.round_to(value, sd)
             sign, size = ("-", number[1:]) if number.startswith("-") else ("+", number)
-            body = size if term is None else f"{size}*{written.factor_of(term.text)}"
+            body = size if term is None else f"{size}*{written.factor_of(term.text)}".removeprefix("1*")
             pieces.append(f"{sign} {body}" if pieces else (f"-{body}" if sign == "-" else body))
         return f"{self.target} = {' '.join(pieces) or '0'}"
 
@@ -423,13 +433,15 @@ class Equation:
         header = ("term", "coefficient", "95 % interval", ENGINES[self.posterior.method].score, "unit")
         return join(paragraph(f"verdict: {self.verdict}", strong=True), code(self.text), table(header, rows))
 
-    def to_latex(self, uncertainty: Uncertainty = "none") -> str:
+    def to_latex(self, uncertainty: Uncertainty = "none", chains: Sequence[Chain] = ()) -> str:
         r"""The equation in LaTeX, derivatives of the coordinate as dots: ``\ddot{x} = - 2.0 \dot{x} ...``.
 
         Parameters
         ----------
         uncertainty : "none", "brackets" or "plus-minus"
             Standard deviations of the coefficients: ``992.6(2.6)\,x`` or ``\left(992.6 \pm 2.6\right)\,x``.
+        chains : sequence of Chain, optional
+            Those of other equations, whose derivatives are written with dots too.
 
         Raises
         ------
@@ -440,31 +452,36 @@ class Equation:
 
         if uncertainty not in get_args(Uncertainty):
             raise InputError(f"uncertainty must be one of {', '.join(get_args(Uncertainty))}, got {uncertainty!r}")
-        base = sympy.latex(sympy.Symbol(self.chain.names[0]))
-        dots = [base, rf"\dot{{{base}}}", rf"\ddot{{{base}}}", rf"\dddot{{{base}}}", rf"\ddddot{{{base}}}"]
-        symbols = dict(zip(self.chain.names, dots, strict=False))
+        symbols: dict[str, str] = {}
+        for chain in (*chains, self.chain):
+            base = sympy.latex(sympy.Symbol(chain.names[0]))
+            dots = [base, rf"\dot{{{base}}}", rf"\ddot{{{base}}}", rf"\dddot{{{base}}}", rf"\ddddot{{{base}}}"]
+            symbols |= zip(chain.names, dots, strict=False)
         if self.chain.discrete:
             symbols = {
                 name: step_latex(name) for name in {self.target, *(n for term in self.terms for n in term.names)}
             }
         names = {sympy.Symbol(name): text for name, text in symbols.items()}
-        if uncertainty == "none":
+        if uncertainty == "none" or self.chain.stated:
             right = sympy.latex(self._right_hand_side(rounded=True), symbol_names=names)
         else:
             parts = []
             for value, sd, term in self.summands:
                 factor = sympy.Integer(1) if term is None else to_sympy(term.named())
                 text = "" if term is None else sympy.latex(factor, symbol_names=names)
-                parts.append((value, sd, rf"\left({text}\right)" if factor.is_Add else text))
+                parts.append((value, sd, rf"\left({text}\right)" if factor.is_Add or text[:1] == "-" else text))
             right = sum_in_latex(parts, uncertainty)
         return f"{symbols[self.target]} = {right}"
 
     def _right_hand_side(self, rounded: bool) -> Any:
         import sympy
 
+        if self.chain.stated and self.chain.law is not None:
+            return to_sympy(self.chain.law.named() if rounded else self.chain.law)
         total = sympy.Integer(0)
         for value, sd, term in self.summands:
-            number = sympy.Float(float(written.round_to(value, sd)) if rounded else value)
+            size = float(written.round_to(value, sd)) if rounded else value
+            number = sympy.Integer(size) if rounded and abs(size) == 1.0 and term else sympy.Float(size)
             total += number if term is None else number * to_sympy(term.named() if rounded else term)
         return total
 

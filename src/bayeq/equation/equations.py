@@ -19,7 +19,7 @@ from bayeq.regression.constraints import CONSERVED
 from bayeq.resumable import Progress, silent
 from bayeq.states import estimate_motion
 from bayeq.states.motion import MotionRows
-from bayeq.states.prepare import in_samples
+from bayeq.states.prepare import in_samples, numbered
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -313,7 +313,8 @@ class Equations(Answer):
                 raise InputError(f"{purpose} needs a Record (bayeq.read reads a file), not {type(record).__name__}")
         if self.roles.discrete:
             return [in_samples(record, self.roles) for record in records]
-        return with_row_numbers(records) if self.data.rows_as_time else list(records)
+        records = numbered(records, self.numbers)
+        return with_row_numbers(records) if self.data.rows_as_time else records
 
     def _prepared(self, records: Sequence[Record], purpose: str, divide: bool = False) -> list[Record]:
         """Records without bad samples; what `discover` has said of them is not said again."""
@@ -565,8 +566,7 @@ class Equations(Answer):
         from bayeq.equation.report.page import write_report
 
         pieces = [] if records is None else _as_list(records, "report")
-        if self.roles.discrete:
-            pieces = self._timed(pieces, "report")
+        pieces = self._timed(pieces, "report") if self.roles.discrete else numbered(pieces, self.numbers)
         for record in pieces:
             for name in self.roles.channels:
                 _ = record[name]

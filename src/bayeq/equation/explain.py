@@ -34,6 +34,11 @@ def explanation(eq: Answer, conditional: bool = False) -> str:
     for equation in eq.equations:
         if len(eq.equations) > 1:
             paragraphs.append(f"The equation of {equation.target}")
+        if equation.chain.stated:
+            state = equation.chain.names[0]
+            paragraphs += [f"The law of {state} was stated: nothing is found of it but the constants in it."]
+            paragraphs += _of_constants(equation)
+            continue
         paragraphs += _of_terms(equation, ENGINES[eq.method].score)
         paragraphs += _of_intervals(equation, conditional)
         paragraphs += _of_fits(equation, eq)
@@ -101,16 +106,20 @@ def _of_intervals(equation: Equation, conditional: bool) -> Iterator[str]:
         f"95 % interval: where the coefficient lies with 95 % probability, if the terms are right: that of"
         f" {equation.terms[j].text} between {low} and {high}. sd is about a quarter of its width."
     )
+    yield from _of_constants(equation)
+    if not conditional and (equation.printed_over_models.any() or equation.intercept_over_models):
+        yield (
+            f"{MARK}: which other terms are in the law is not certain, and the coefficient depends on it; this"
+            " interval allows for all of these equations, and is wider for it."
+        )
+
+
+def _of_constants(equation: Equation) -> Iterator[str]:
     for one in equation.shown_constants:
         yield (
             f"{{{one.name}}}: a constant inside {' and '.join(one.terms)}, found with the coefficients, from values of"
             f" {one.low:.3g} to {one.high:.3g}; its interval and theirs allow for each other. It has no probability of"
             " its own: that of the term is for any value in this range."
-        )
-    if not conditional and (equation.printed_over_models.any() or equation.intercept_over_models):
-        yield (
-            f"{MARK}: which other terms are in the law is not certain, and the coefficient depends on it; this"
-            " interval allows for all of these equations, and is wider for it."
         )
 
 

@@ -82,10 +82,7 @@ def render(eq: Answer, with_warnings: bool = True, conditional: bool = False) ->
 
 def given_of(eq: Answer) -> list[str]:
     """What was given beside the record, and what was done with the equations."""
-    known, out = eq.data.sensors, list[str]()
-    for one in eq.hidden:
-        odds = odds_text(one.log_odds_without) if math.isfinite(one.log_odds_without) else "not known, no fit has it"
-        out.append(f"hidden {one.state}: odds of the equations without it {odds}")
+    known, out = eq.data.sensors, hidden_of(eq)
     if eq.data.band is not None:
         low, high = eq.data.band
         out.append(f"band: the record is believed between {low:g} and {high:g} Hz")
@@ -99,12 +96,26 @@ def given_of(eq: Answer) -> list[str]:
     if known.gain_sd:
         listed = ", ".join(f"{name} {100 * sd:.3g} %" for name, sd in known.gain_sd.items())
         out.append(f"intervals {'do not include' if eq.refined else 'include'} the calibration: {listed}")
-    out += [f"lag of {name}: {lag} (learned)" for name, lag in known.lags.items()]
+    out += lags_of(eq)
     if eq.refined:
         out.append(str(eq.refined))
     if eq.constraints:
         out.append(f"constraints: {'; '.join(eq.constraints)}")
     return out
+
+
+def hidden_of(eq: Answer) -> list[str]:
+    """Odds of the equations without hidden states."""
+    out = []
+    for one in eq.hidden:
+        odds = odds_text(one.log_odds_without) if math.isfinite(one.log_odds_without) else "not known, no fit has it"
+        out.append(f"hidden {one.state}: odds of the equations without it {odds}")
+    return out
+
+
+def lags_of(eq: Answer) -> list[str]:
+    """Lags of channels, which were learned."""
+    return [f"lag of {name}: {lag} (learned)" for name, lag in eq.data.sensors.lags.items()]
 
 
 def source_of(eq: Answer, short: bool = False) -> str:
@@ -221,7 +232,6 @@ def _print_table(
     # beside the numbers, where they are known
     extra = ["share"] if equation.share is not None and len(kept) else []
     extra += ["unit"] if any(equation.coef_units[j] for j in kept) else []
-    zero = equation.shown_posterior.intercept == 0.0 and equation.intercept_estimate[1] < NOTHING
     while True:
         table = Table(box=box.SIMPLE_HEAD if terminal else box.MARKDOWN, pad_edge=True)
         table.add_column("term", overflow="fold")
@@ -231,8 +241,6 @@ def _print_table(
             table.add_column(name, justify="left" if name == "unit" else "right", no_wrap=True)
         for row in rows:
             numbers = row.coefficient or row.absent, row.sd, row.interval + f" {MARK}" * row.over_models
-            if row is rows[-1] and zero:
-                numbers = "none", "", ""
             further = (escape(getattr(row, name)) for name in extra)
             table.add_row(with_names(escape(row.name), names), *numbers, row.score, *further)
         needed = console.measure(table, options=console.options.update(width=WIDE)).maximum
@@ -294,7 +302,7 @@ def left_beside_noise(equation: Equation) -> str | None:
     share = equation.residuals.discrepancy if equation.error_share is None else equation.error_share
     if share is None:
         return None
-    return f"{100 * share:.2g} %" if share > LEAST_SHOWN else f"less than {100 * LEAST_SHOWN:g} %"
+    return percentages({"": share}).strip() if share > LEAST_SHOWN else f"less than {100 * LEAST_SHOWN:g} %"
 
 
 def _chance(p: float) -> str:
@@ -350,6 +358,8 @@ def rows_of(equation: Equation, conditional: bool = False) -> list[Row]:
     for one in equation.shown_constants:
         numbers, unit = with_interval(one.value, plain_sd(one), one.ci95), equation.constant_units.get(one.name, "")
         rows.append(Row(f"{{{one.name}}}", *numbers, unit=unit))
+    if shown.intercept == 0.0 and equation.intercept_estimate[1] < NOTHING:
+        return [*rows, Row("intercept", absent="none")]
     ends = equation.intercept_ci95 if conditional else equation.printed_intercept_ci95
     over_models, unit = ends != equation.intercept_ci95, equation.units.get(equation.target, "")
     numbers = with_interval(*equation.intercept_estimate, ends)

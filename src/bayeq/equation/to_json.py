@@ -58,7 +58,7 @@ def to_dict(eq: Answer) -> dict[str, Any]:
             },
             "units": {name: unit for equation in eq.equations for name, unit in equation.units.items()},
         },
-        "equations": [_equation(equation) for equation in eq.equations],
+        "equations": [_equation(equation, eq) for equation in eq.equations],
         **({"constants": list(constants.values())} if eq.constants else {}),
         **({"hidden": finite(list(map(asdict, eq.hidden)))} if eq.hidden else {}),
         "parameters": [
@@ -86,7 +86,7 @@ def to_dict(eq: Answer) -> dict[str, Any]:
     }
 
 
-def _equation(equation: Equation) -> dict[str, Any]:
+def _equation(equation: Equation, eq: Answer) -> dict[str, Any]:
     shown = equation.shown_posterior
     return {
         "target": equation.target,
@@ -104,7 +104,7 @@ def _equation(equation: Equation) -> dict[str, Any]:
         "equation": equation.text,
         "full_equation": None,  # as earlier versions had it
         **_attributes(equation, "error_probability", "tau"),
-        "latex": equation.to_latex(),
+        "latex": equation.to_latex(chains=eq.chains),
         **_attributes(equation, "unit_gains", "undetermined"),
         **({"constants": [_constant(equation, one) for one in equation.constants]} if equation.constants else {}),
         **({"forms": {choice: dict(found) for choice, found in equation.forms.items()}} if equation.forms else {}),

@@ -13,6 +13,7 @@ from bayeq.arrays import Floats
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import correlation_time, typical_period, window_runs
 from bayeq.forecast.rows import divided, rows_of
+from bayeq.forecast.score import percentages
 from bayeq.likelihood.adequacy import Discrepancy, Octave
 from bayeq.numerics.settings import EQUATION, LIKELIHOOD
 from bayeq.regression.regression import Regression
@@ -149,7 +150,7 @@ def doubted(
             "a longer record, other amplitudes or frequencies would tell (bayeq plan), or terms known beforehand",
         )
     share = left if left is not None else 0.0 if lacking is None else lacking.size
-    unexplained = f"{100 * share:.2g} % of {target} is not explained by these terms"
+    unexplained = f"{percentages({'': share}).strip()} of {target} is not explained by these terms"
     careful = "parameters may be off by more than their intervals say"
     if exact < LIKELIHOOD.nearly_true and not share < LIKELIHOOD.misfit_least:
         return Verdict(

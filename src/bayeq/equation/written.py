@@ -312,6 +312,11 @@ def at_end(one: ConstantEstimate, unit: str = "") -> Iterator[str]:
         yield f"the interval of {one.name} reaches the {' and the '.join(ends)} end of its range {shown}: {cure}"
 
 
+def left_out_form(term: str) -> str:
+    """What to say of a member of an either-or that was not compared with the others."""
+    return f"{term} is left out, not finite beside the motion: write abs() in its powers and roots"
+
+
 def row_of(one: ConstantEstimate, unit: str | None) -> dict[str, Any]:
     """The row of a constant in an equation's table."""
     row: dict[str, Any] = {"term": f"{{{one.name}}}", "included": True, "shown": True, "why": "", "effective": False}

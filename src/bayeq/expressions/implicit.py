@@ -40,7 +40,7 @@ def multiplied(term: Expression, targets: Sequence[str]) -> tuple[int, Expressio
 
 
 def _without(node: Node, factor: Symbol) -> Node | None:
-    """A product without one of its factors; None if that is none."""
+    """A product, or a sum of such products, without one of its factors; None if that is none."""
     if node == factor:
         return _ONE
     match node:
@@ -56,6 +56,9 @@ def _without(node: Node, factor: Symbol) -> Node | None:
         case Binary("/", left, right):
             rest = _without(left, factor)
             return None if rest is None else Binary("/", rest, right)
+        case Binary("+" | "-" as sign, left, right):
+            parts = _without(left, factor), _without(right, factor)
+            return None if parts[0] is None or parts[1] is None else Binary(sign, parts[0], parts[1])
     return None
 
 

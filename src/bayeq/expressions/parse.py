@@ -54,6 +54,12 @@ _UNKNOWN = re.compile(rf"\{{\s*(?P<name>{_NAME})\s*(?::\s*{_ENDS}\s*)?\}}")
 
 #: An earlier sample of a channel, as ``x[-1]``, by `name` and `back`.
 EARLIER = re.compile(rf"(?P<name>{_NAME})\[-(?P<back>[1-9][0-9]?)\]")
+# One that is written as a function: x(-1), x(k-1).
+_BACK = re.compile(r"\s*\(\s*\w?\s*-\s*([1-9][0-9]?)\s*\)")
+
+#: A map of this many earlier samples, at most.
+MOST_EARLIER = 20
+
 _BAD_NUMBER = re.compile(r"\.?[0-9][\w.]*")
 _ALLOWED = "numbers, names, + - * / **, brackets and functions"
 _HINTS = {
@@ -63,7 +69,10 @@ _HINTS = {
     ".": "there are no attributes",
     "{": "an unknown constant is {name}, or {name: low..high}, and ends with }",
     "}": "it ends no unknown constant, {name}",
-    "[": f"there are {_ALLOWED}, and earlier samples of maps, x[-1] to x[-99]",
+    ";": f"there are {_ALLOWED}, and commas between terms",
+    "=>": "write >=",
+    "=<": "write <=",
+    "x[": f"earlier samples of maps are x[-1] to x[-{MOST_EARLIER}], and this one is x",
     "|": "it stands between whole terms, of which one is in",
 }
 _CONDITION = "comparisons are conditions of where, as in where(x > 0, x, 0)"
@@ -93,8 +102,10 @@ def _tokens(text: str) -> list[_Token]:
             bad = _BAD_NUMBER.match(text, at)
             if bad is not None:
                 raise _error(text, f"{_shown(bad[0])} is not a number, at column {at + 1}; write 2, 0.5 or 1e-3")
-            hint = _HINTS.get(text[at], f"there are {_ALLOWED}")
-            raise _error(text, f"{text[at]!r} at column {at + 1} is not allowed: {hint}")
+            mark = text[at : at + 2] if text[at : at + 2] in _HINTS else text[at]
+            behind = mark == "[" and re.search(r"\w\s*$", text[:at])
+            hint = _HINTS.get("x[" if behind else mark, f"there are {_ALLOWED}")
+            raise _error(text, f"{mark!r} at column {at + 1} is not allowed: {hint}")
         kind, part = str(token.lastgroup), token[0]
         if kind == "name":
             part = _name(text, part, at + 1)
@@ -295,6 +306,8 @@ class _Parser:
     def no_function(self, name: _Token) -> str:
         near = difflib.get_close_matches(name.text, [*FUNCTIONS, *ALIASES, SQUARE], n=1, cutoff=0.6)
         missing = f"at column {name.column} there is no function {_shown(name.text)}"
+        if (back := _BACK.match(self.text, name.column - 1 + len(name.text))) is not None:
+            return f"{missing}; an earlier sample of a map is written {name.text}[-{back[1]}]"
         if near:
             return f"{missing}; did you mean {near[0]!r}?"
         return f"{missing}; write * for products (there are: {', '.join(FUNCTIONS)})"

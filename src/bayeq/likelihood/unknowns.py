@@ -111,7 +111,7 @@ def with_constants(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fi
     """A fit with its constants where they are likeliest, and the likeliest members of its choices.
 
     The task then has terms of these values, and odds that know how wide their ranges are; the forms are the log
-    posteriors of the members.
+    posteriors of the members, but for those that are not finite beside the motion.
     """
     terms = task.layout.terms
     choices = _choices(terms)
@@ -121,18 +121,19 @@ def with_constants(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fi
     forms: dict[str, dict[str, float]] = {}
     for choice, members in choices.items():
         active = next((j for j in members if _is_active(task, j)), members[0])
-        forms[choice] = {terms[active].text: _log_posterior(task, fitted)}
-        first = task, fitted
-        for j in members:
-            if j == active:
-                continue
+        first, found = (task, fitted), dict[str, float]()
+        for j in (active, *(j for j in members if j != active)):
             try:
-                other = settled(motion, *_instead(motion, *first, active, j))
+                other = first if j == active else settled(motion, *_instead(motion, *first, active, j))
+                score = _log_posterior(*other)
             except np.linalg.LinAlgError:
                 continue
-            forms[choice][terms[j].text] = _log_posterior(*other)
-            if _log_posterior(*other) > _log_posterior(task, fitted):
+            if score > max(found.values(), default=-math.inf):
                 task, fitted = other
+            found[terms[j].text] = score
+        if not found:
+            raise np.linalg.LinAlgError(f"{choice}: the likelihood of none is finite")
+        forms[choice] = found
     return _with_odds(task, fitted), fitted, forms
 
 

@@ -296,6 +296,9 @@ def parse_conserved(text: str, chains: Sequence[Chain]) -> dict[int, float]:
     An InputError refuses malformed text, or a state that is not the only one of its chain.
     """
     where, states = f"conserve {text!r}", [chain.states[0] for chain in chains if chain.order == 1]
+    plain = " + ".join(part.strip() for part in re.split("[,;]", text.partition("=")[0]))
+    if plain != text.strip() and re.search("[=,;]", text):
+        raise InputError(f"{where}: write the sum alone: {plain}")
     linear = _Reader([parse(name, [name]) for name in states], {}, "state of first order").read(text, where)
     if linear.constant != 0.0 or len(linear.slopes) < 2:
         raise InputError(f"{where}: name at least two states of first order, as in 'S + I + R'")
@@ -308,6 +311,8 @@ def _side_of(text: str, where: str) -> tuple[float, str, str]:
     found = re.fullmatch(r"(?:([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*\*)?\s*(.*)", text.strip())
     assert found is not None
     number, rest = found[1], found[2]
+    if rest.count("(") != rest.count(")"):
+        raise InputError(f"{where}: a bracket is missing: write a tie as 'a1: x1-x2 == 2*(a2: x2-x1)'")
     inside = rest[1:-1] if rest.startswith("(") and rest.endswith(")") else rest
     target, colon, body = (part.strip() for part in inside.partition(":"))
     try:

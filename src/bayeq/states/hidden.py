@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from bayeq.arrays import Floats
-from bayeq.errors import ChainError, InputError, require_texts
+from bayeq.errors import ChainError, ExpressionError, InputError, UnknownNameError, require_texts
 from bayeq.expressions import Evaluator, Expression, Symbol, Tape, parse
 from bayeq.expressions.functions import TIME
 from bayeq.ode.rk4 import Drive, free_runs, interpolant
@@ -26,7 +27,7 @@ def with_laws(laws: str | Sequence[str], roles: Roles) -> Roles:
     """The roles with a hidden state for each stated law, such as ``"df = (u - f)/{tau}"``.
 
     A ChainError refuses a law that is not of this form, or of a state that has an equation already; an ExpressionError
-    or UnknownNameError a right-hand side that is no expression of channels and states.
+    or InputError a right-hand side that is no expression of channels and states.
 
     Examples
     --------
@@ -46,8 +47,13 @@ def with_laws(laws: str | Sequence[str], roles: Roles) -> Roles:
             raise ChainError(f"law {text[:60]!r}: {name} has an equation, or is an input: give the state another name")
         chains.append(Chain((None, None), (name, None)))
     names = (*roles.names, *(chain.names[0] for chain in chains[len(roles.chains) :]), TIME)
-    for k, (_, text) in enumerate(sides, len(roles.chains)):
-        chains[k] = replace(chains[k], law=parse(text.partition("=")[2].strip(), names))
+    for k, (name, text) in enumerate(sides, len(roles.chains)):
+        try:
+            chains[k] = replace(chains[k], law=parse(text.partition("=")[2].strip(), names))
+        except UnknownNameError as error:
+            raise InputError(f"law d{name}: {error}; an unknown constant is written {{{error.name}}}") from error
+        except ExpressionError as error:
+            raise ExpressionError(f"law d{name}: {error}") from error
     return roles.with_chains(chains)
 
 
@@ -55,8 +61,14 @@ def _sides(text: str) -> tuple[str, str]:
     """The state whose rate a law gives, and the law."""
     left, equals, right = text.partition("=")
     name = left.strip()
+    form = f"law {text[:60]!r}: write the rate of a state and what it is, as in df = (u - f)/{{tau}}"
     if not equals or not right.strip() or len(name) < 2 or name[0] != "d" or not name.isidentifier():
-        raise ChainError(f"law {text[:60]!r}: write the rate of a state and what it is, as in df = (u - f)/{{tau}}")
+        raise ChainError(form)
+    if right.startswith("="):
+        raise ChainError(f"{form}, with one =")
+    words = re.findall(r"\w+", right)
+    if name.startswith("dd") and name[1:] not in words and name[2:] in words:
+        raise ChainError(f"{form}: it is of first order; write two laws, d{name[2:]} = g and dg = ...")
     return name[1:], text
 
 

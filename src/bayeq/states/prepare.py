@@ -286,6 +286,24 @@ def _is_rounding(time: Floats, off: float, step: float) -> bool:
 OFF_GRID = 0.1
 
 
+def numbered(records: Sequence[Record], names: Sequence[str]) -> list[Record]:
+    """The records with the inputs that number them, run2, run3, if these are not among their channels.
+
+    An InputError refuses another number of records than the equations are of.
+    """
+    if all(name in record.channels for record in records for name in names):
+        return list(records)
+    if len(records) != len(names) + 1:
+        raise InputError(
+            f"coefficients differ between the {len(names) + 1} records of the equations: give as many, in that order,"
+            f" or channels {', '.join(names)} that are 1 in the record of this number, else 0"
+        )
+    return [
+        record.with_channels({name: np.full(record.n, float(name == f"run{k}")) for name in names})
+        for k, record in enumerate(records, 1)
+    ]
+
+
 def in_samples(record: Record, roles: Roles) -> Record:
     """The record with the number of the sample as time, and with earlier samples of inputs as channels of their own.
 

@@ -11,7 +11,7 @@ from bayeq.errors import ChainError, InputError, require_text, require_texts
 from bayeq.expressions import Expression, number
 from bayeq.expressions.functions import TIME
 from bayeq.expressions.implicit import product, total
-from bayeq.expressions.parse import EARLIER
+from bayeq.expressions.parse import EARLIER, MOST_EARLIER
 from bayeq.records.names import channel_name
 
 MAX_ORDER = 4
@@ -24,9 +24,6 @@ STATIC = "="
 
 # What stands behind the name of a channel for its next sample, the target of a map.
 NEXT = "[+1]"
-
-# A map of this many earlier samples, at most.
-MOST_EARLIER = 20
 
 _MAP = re.compile(r"(?:~\w+\[-\d+\]:)*(?P<name>\w+):~\w+\[\+1\]")
 

@@ -29,6 +29,9 @@ LEAST_SHARE = 1e-5
 # Of a force that a window has made zero between blows the blows are less than this share of the samples.
 MOST_IN_BLOWS = 0.5
 
+# Lags of a larger standard deviation, as a share of the longest record, are taken for a mistake.
+MOST_LAG = 0.1
+
 _FORMS = {
     "noise": "a number in its unit, a share of its standard deviation such as '2%', or of every reading such as"
     " '5% of reading' ('% of reading': learned), not negative",
@@ -130,6 +133,13 @@ def known_sensors(
             gains[name] = math.hypot(gains.get(name, 0.0), levels[name] / math.sqrt(float(blows @ blows)))
             levels[name] = 0.0
     late = {name: _amount("lag_sd", name, v)[0] for name, v in (lag_sd or {}).items() if name in used}
+    longest = max((record.n / record.fs for record in records if record.fs is not None), default=math.inf)
+    for name, sd in late.items():
+        if sd > MOST_LAG * longest:
+            raise InputError(
+                f"lag_sd: {name!r} has {sd:g} s, more than a tenth of the longest record ({longest:.3g} s): it needs"
+                f" {_FORMS['lag_sd']}"
+            )
     return Sensors(levels, gains, tails, {name: Lag(0.0, sd, sd) for name, sd in late.items()}, readings)
 
 

@@ -19,12 +19,14 @@ from typing import Any
 import numpy as np
 
 from bayeq import figures
+from bayeq.dictionary import FAMILIES
+from bayeq.dictionary.specification import without_names
 from bayeq.equation.answer import Answer
 from bayeq.equation.brief import checks, failed, law_in_symbols, sentence, tabled_parameters, what_to_try
 from bayeq.equation.equation import Equation
 from bayeq.equation.explain import explanation
 from bayeq.equation.physical import own_parameters
-from bayeq.equation.text import MARK, rows_of, unseen
+from bayeq.equation.text import MARK, hidden_of, lags_of, rows_of, unseen
 from bayeq.equation.written import round_to
 from bayeq.errors import BayeqError, BayeqWarning, InputError, needing
 from bayeq.expressions.parse import EARLIER
@@ -84,7 +86,7 @@ def _wanted(eq: Answer, record: Record | None) -> Iterator[tuple[str, dict[str, 
     """Names of pictures, their options and captions."""
     if eq.verdict.kind == "none":
         return
-    for one in eq.equations:
+    for one in (one for one in eq.equations if not one.chain.stated):
         of = f" ({one.target})" if len(eq.equations) > 1 else ""
         which = {"target": one.target}
         if record is not None and one.chain.order == 2 and not one.chain.discrete:
@@ -402,13 +404,22 @@ def _equation(one: Equation, eq: Answer) -> dict[str, Any]:
     if one.chain.discrete:
         names = {name: step_mathml(name) for name in (*eq.states, *eq.inputs, one.target)}
     else:
-        names = {name: symbol_mathml(one.chain.names[0], dots) for dots, name in enumerate(one.chain.names)}
-    rows = rows_of(one)
+        chains = (chain.names for chain in eq.chains)
+        names = {name: symbol_mathml(own[0], dots) for own in chains for dots, name in enumerate(own)}
+    rows, rest = rows_of(one), 0
+    if one.chain.stated:
+        rows = rows[:-1]
+    else:
+        rest = len(one.terms) - sum(bool(row.score) for row in rows)
     return {
         "target": one.target,
         "verdict": str(one.verdict) if len({other.verdict.kind for other in eq.equations}) > 1 else "",
         "none": one.verdict.kind == "none",
-        "checks": [*([checks(eq)] if one is eq.equations[0] else []), *failed(one), *unseen(one)],
+        "checks": [
+            *([checks(eq), *hidden_of(eq), *lags_of(eq)] if one is eq.equations[0] else []),
+            *failed(one),
+            *unseen(one),
+        ],
         "starred": any(row.over_models for row in rows),
         "maths": _maths(one, names),
         "symbols": {
@@ -418,22 +429,25 @@ def _equation(one: Equation, eq: Answer) -> dict[str, Any]:
         },
         "text": one.text,
         "rows": rows,
-        "rest": len(one.terms) - sum(bool(row.score) for row in rows),
+        "rest": rest,
     }
 
 
 def _maths(one: Equation, names: Mapping[str, str]) -> str:
     """An equation as MathML, a piece for each term so that it breaks between them."""
     pieces = [f"<mrow>{names[one.target]}<mo>=</mo></mrow>"]
-    for k, (value, sd, term) in enumerate(one.summands):
+    summands = [] if one.chain.stated else one.summands
+    if one.chain.law is not None and one.chain.stated:
+        pieces.append(mathml(one.chain.law, names))
+    for k, (value, sd, term) in enumerate(summands):
         text = round_to(value, sd)
         sign = "\N{MINUS SIGN}" if text.startswith("-") else "+" if k else ""
         form = 'form="prefix"' if not k else 'form="infix"'
         front = f"<mo {form}>{sign}</mo>" if sign else ""
         factor = "" if term is None else mathml(term, names, factor=True)
-        number = number_mathml(text.removeprefix("-"))
-        pieces.append(f"<mrow>{front}{number}<mspace width='0.17em'></mspace>{factor}</mrow>")
-    if not one.summands:
+        number = number_mathml(text.removeprefix("-")) + "<mspace width='0.17em'></mspace>"
+        pieces.append(f"<mrow>{front}{'' if factor and text in ('1', '-1') else number}{factor}</mrow>")
+    if len(pieces) == 1:
         pieces.append("<mn>0</mn>")
     return "".join(f"<math>{piece}</math> " for piece in pieces)
 
@@ -502,17 +516,32 @@ def samples_hash(record: Record) -> str:
     return digest.hexdigest()
 
 
+def _with_ranges(law: str, eq: Answer) -> str:
+    """A stated law with the ranges in which its constants were sought, unless the dictionary has these."""
+    ranges = {f"{{{one.name}}}": f"{{{one.name}: {one.low:.6g}..{one.high:.6g}}}" for one in eq.constants}
+    for name, ranged in ranges.items():
+        law = law if name[:-1] in eq.dictionary else law.replace(name, ranged)
+    return law
+
+
 def repeat_command(eq: Answer) -> str:
     """A command that finds the equations again, from what they know of how they were found."""
     words = ["bayeq", "discover", *(name or "FILE" for name in eq.data.files)]
     for chain in eq.chains:
         text = str(chain.measured[-2]) if chain.discrete else str(chain)
-        words += ["--target", chain.target] if chain.static else ["--chain", text]
+        if chain.stated:
+            words += ["--law", f"{chain.target} = {_with_ranges(str(chain.law), eq)}"]
+        else:
+            words += ["--target", chain.target] if chain.static else ["--chain", text]
     words += ["--discrete"] * eq.roles.discrete
     for name in eq.inputs:
-        if not EARLIER.fullmatch(name):  # which terms ask for
+        if not EARLIER.fullmatch(name) and name not in eq.numbers:  # which terms ask for
             words += ["--input", name]
-    words += ["--dictionary", eq.dictionary, "--method", eq.method, "--smooth", eq.smooth]
+    refused = {one.state for one in eq.hidden} - {*eq.states}
+    gone = {"d" * k + state for state in refused for k in range(3)}  # with its rates
+    dictionary = without_names(eq.dictionary, gone, FAMILIES.keys())
+    words += ["--dictionary", dictionary, "--method", eq.method, "--smooth", eq.smooth]
+    words += ["--differs", ", ".join(eq.differing)] if eq.numbers else []
     for constraint in eq.constraints:
         conserved = constraint.endswith(CONSERVED)
         words += ["--conserve" if conserved else "--constraint", constraint.removesuffix(CONSERVED)]
