@@ -20,8 +20,8 @@ from bayeq.ode.rk4 import Drive, local_errors
 from bayeq.states import Chain, Motion, Roles, rates
 
 # A step is halved until this share (of the intervals) errs by less than TOLERANCE of the states' spread in an interval,
-# at most MOST_SUBSTEPS times. Of laws that jump it is the shortest: they lose the order of Runge-Kutta's method, and a run
-# errs by what its steps do at every jump.
+# at most MOST_SUBSTEPS times. Of laws that jump it is the shortest: they lose the order of Runge-Kutta's method, and a
+# run errs by what its steps do at every jump.
 SHARE = 0.75
 TOLERANCE = 1e-6
 MOST_SUBSTEPS = 16
