@@ -75,10 +75,10 @@ def info(
     """
     how = {
         "time": time, "fs": fs, "names": names, "units": units, "group": group, "channels": channels, "skip": skip,
-        "sheet": sheet,
+        "sheet": sheet, "rows": rows,
     }  # fmt: skip
     if isinstance(source, Record):
-        used = [key for key, value in {**how, "rows": rows}.items() if value]
+        used = [key for key, value in how.items() if value]
         if used:
             raise InputError(f"{used[0]} says how a file is read; a Record has been read")
         return _described(sort_rows(source), source.name, Reading(clocked=source.time is not None))
@@ -87,18 +87,18 @@ def info(
     path = Path(source)
     listed = names if names is None or isinstance(names, str) else ",".join(names)
     reading = Reading((str(path),), time, fs, listed, group, dict(units or {}), dict(channels or {}), skip, rows, sheet)
-    experiments, remarks = _numbers(path, rows or slice(None), how)
+    experiments, remarks = _numbers(path, how)
     found = _described(experiments, path.name, reading)
     return replace(found, findings=(*remarks, *found.findings))
 
 
-def _numbers(path: Path, rows: slice, how: dict[str, Any]) -> tuple[Experiments, list[str]]:
+def _numbers(path: Path, how: dict[str, Any]) -> tuple[Experiments, list[str]]:
     """A file by experiment, without columns of words and arrays of other lengths, and what to say of these."""
     remarks: list[str] = []
     words: list[str] = []
     while True:
         try:
-            return _opened(path, rows, how), remarks
+            return _opened(path, how), remarks
         except WordsError as error:
             how["columns"] = [name for name in error.others if name not in words]
             if how["names"] or how["channels"] or not how["columns"] or error.column in (how["time"], how["group"]):
@@ -115,15 +115,15 @@ def _numbers(path: Path, rows: slice, how: dict[str, Any]) -> tuple[Experiments,
             remarks.append(f"of arrays of {usual} samples; there are others: {others} (--channel NAME)")
 
 
-def _opened(path: Path, rows: slice, how: Mapping[str, Any]) -> Experiments:
+def _opened(path: Path, how: Mapping[str, Any]) -> Experiments:
     """A file by experiment, also one in which time starts over, which `read` refuses."""
     time, group = how["time"], how["group"]
     found: list[Record] | Record
     try:
         found = read(path, **how)
         if isinstance(found, list):
-            return Experiments(tuple(_of_rows(record, rows) for record in found), column=group)
-        return sort_rows(_of_rows(found, rows))
+            return Experiments(tuple(found), column=group)
+        return sort_rows(found)
     except RecordError as error:
         if how["fs"] is not None or group is not None:
             raise
@@ -133,15 +133,9 @@ def _opened(path: Path, rows: slice, how: Mapping[str, Any]) -> Experiments:
         if column is None:
             raise
         try:
-            return sort_rows(_of_rows(Record(record.channels, None, record.units, record.name), rows), column)
+            return sort_rows(Record(record.channels, None, record.units, record.name), column)
         except RecordError:
             raise error from None  # which names the row of the file
-
-
-def _of_rows(record: Record, rows: slice) -> Record:
-    if not len(range(record.n)[rows]):
-        raise InputError(f"{record.name}: there are {record.n} rows, none of which is looked at")
-    return record if rows == slice(None) else record.take(rows)
 
 
 def _described(experiments: Experiments, name: str, reading: Reading) -> RecordInfo:
