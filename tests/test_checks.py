@@ -126,7 +126,7 @@ def test_a_wrong_sign_is_named(channel):
         (finding,) = bq.check_record(record.with_channels({channel: -record[channel]}), CHAIN, ["u"])
         assert (finding.kind, finding.channels[0], finding.value) == ("sign", channel, -1.0)
     what = {"x": "the integral of v", "v": "dx/dt", "a": "d2x/dt2"}[channel]
-    assert finding.message == f"{channel} has the opposite sign of {what}: reverse it"
+    assert finding.message == f"{channel} has the opposite sign of {what}: reverse it (--scale {channel}=-1)"
 
 
 @pytest.mark.parametrize("channel", ["x", "v", "a"])
@@ -414,7 +414,7 @@ def test_many_records_are_told_of_once():
     records = [simulated("linear", seed, n=1000).renamed(f"run{seed}") for seed in range(4)]
     wrong = [r.with_channels({"v": -r["v"]}) if k else r for k, r in enumerate(records)]
     (message,) = check_messages(wrong, [("x", "v", "a")], ["u"])
-    assert message == "run1: v has the opposite sign of dx/dt: reverse it (and 2 more records alike)"
+    assert message == "run1: v has the opposite sign of dx/dt: reverse it (--scale v=-1) (and 2 more records alike)"
 
 
 def test_the_command_warns_and_goes_on(tmp_path, capsys):

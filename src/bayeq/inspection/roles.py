@@ -6,7 +6,7 @@ import re
 import unicodedata
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 
 from bayeq.inspection.links import CLEARLY, Link
@@ -110,6 +110,13 @@ class Guess:
         inputs = [name for name in shares if name in reasons]
         undecided = tuple(name for name in self.undecided if name not in inputs)
         return Guess(self.chains, (*self.inputs, *inputs), undecided, reasons, tuple(questions))
+
+    def exchanged(self, p: str, q: str) -> Guess:
+        """The same with two channels of a chain in the place of each other, where it is p that derives from q."""
+        other = {p: q, q: p}
+        chains = tuple(tuple(name and other.get(name, name) for name in chain) for chain in self.chains)
+        reasons = {**self.reasons, q: f"{p} derives from it", p: f"derives from {q}, against their units"}
+        return replace(self, chains=chains, reasons=reasons)
 
     def role_of(self, name: str) -> str:
         """Role of a channel as a word; empty where it is not decided."""
@@ -246,6 +253,10 @@ def guess_roles(
                     else "nothing else fits it"
                 )
                 reasons[low] = clues[low].why or why
+    if not inputs and chains and all(len(chain) == 3 and chain[0] and chain[2] for chain in chains):
+        inputs = [n for n in of_order[0] if n not in reasons and clues[n].by_unit and all(n not in c for c in chains)]
+        for name in inputs:
+            reasons[name] = f"{clues[name].why}; the others have accelerations and it has none: as a base that moves"
     used = {name for chain in chains for name in chain} | set(inputs)
     ordered = sorted(chains, key=lambda chain: min(names.index(name) for name in chain if name is not None))
     undecided = tuple(name for name in names if name not in used)
@@ -265,9 +276,11 @@ def _agreeing(links: Sequence[Link], clues: Mapping[str, Clue]) -> list[tuple[in
             return 0 if link.usual or below.order != above.order else 2
         # the only one of its kind needs no index
         together = below.index == above.index or 1 in (counts[below.order], counts[above.order])
-        if together and above.order - below.order == link.order:
+        as_said = above.order - below.order == link.order
+        if together and as_said:
             return -1
-        return 2 if (below.by_unit and above.by_unit) or link.gain < 0.0 or not link.usual else 1
+        by_unit = below.by_unit and above.by_unit and not as_said
+        return 2 if by_unit or link.gain < 0.0 or not link.usual else 1
 
     graded = [(contradiction(link), link) for link in links]
     return sorted(((grade, link) for grade, link in graded if grade < 2), key=lambda one: (one[0], one[1].order))

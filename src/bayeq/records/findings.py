@@ -31,6 +31,9 @@ UNIT_GAINS = (
 )
 NEAR = 0.02
 
+# Channels are exchanged where one gain differs from that of the units by more than this, and the other by less [ln].
+EXCHANGED, AS_STATED = math.log(2.0), math.log(1.1)
+
 # Clipping: a run of this many equal samples at an extreme, in a channel whose samples are equal nowhere else; or this
 # many samples at the extreme, and this many times as many as at any of the next levels. A channel of few levels, or
 # one that rests at the extreme for most of the time, is switched and not clipped.
@@ -70,8 +73,8 @@ class Finding:
     Attributes
     ----------
     kind : str
-        ``"offset"``, ``"drift"``, ``"delay"``, ``"sign"``, ``"gain"``, ``"inconsistent"``, ``"clipping"``,
-        ``"dropped"``, ``"repeated"``, ``"again"`` or ``"clock"``.
+        ``"offset"``, ``"drift"``, ``"delay"``, ``"sign"``, ``"gain"``, ``"exchanged"``, ``"inconsistent"``,
+        ``"clipping"``, ``"dropped"``, ``"repeated"``, ``"again"`` or ``"clock"``.
     channels : tuple of str
         The channel that is at fault, then those that it was compared with.
     message : str
@@ -199,6 +202,9 @@ def _kinematics(record: Record, chain: Sequence[str | None]) -> list[Finding]:
         link = relate(record.time, record[p], record[q], high - low, frames)
         if link is None:
             return found
+        found += _exchanged(record, p, q, high - low, link, frames)
+        if found:
+            return found
         if link.fit < RECORDS.least_fit:
             message = (
                 f"{q} moves with {derivative_name(p, high - low)} but is not it: no sign and delay makes them fit"
@@ -212,6 +218,23 @@ def _kinematics(record: Record, chain: Sequence[str | None]) -> list[Finding]:
     for ((low, p), (high, q)), link in zip(pairwise(measured), links, strict=True):
         found += _shifts(record, p, q, high - low, link, frames)
     return found
+
+
+def _exchanged(record: Record, p: str, q: str, order: int, link: Relation, frames: Frames) -> list[Finding]:
+    """Whether p is the derivative of q, in the units of the other each, where q is not that of p."""
+    stated = _stated_gain(record, p, q, order)
+    if record.time is None or (link.fit >= RECORDS.least_fit and abs(math.log(link.gain / stated)) < EXCHANGED):
+        return []
+    back = relate(record.time, record[q], record[p], order, frames)
+    if back is None or back.fit < RECORDS.least_fit or back.sign < 0 or abs(math.log(back.gain / stated)) > AS_STATED:
+        return []
+    units = [f"{name}={record.units[other]}" for name, other in ((p, q), (q, p)) if other in record.units]
+    given = f" and --units {','.join(units)}" if len(units) == 2 else ""
+    message = (
+        f"{p} is {back.gain:.3g} times the {'second ' * (order == 2)}derivative of {q}: are the columns exchanged?"
+        f" If so, use {q} in the place of {p}, {p} in that of {q}{given}"
+    )
+    return [Finding("exchanged", (p, q), message, back.gain)]
 
 
 class _Odd(NamedTuple):
@@ -250,7 +273,12 @@ def _odd_ones(
 def _signs(measured: Sequence[tuple[int, str]], links: Sequence[Relation]) -> list[Finding]:
     signs = np.cumprod([1, *(link.sign for link in links)])
     return [
-        Finding("sign", odd.channels, f"{odd.channels[0]} has the opposite sign of {odd.against}: reverse it", -1.0)
+        Finding(
+            "sign",
+            odd.channels,
+            f"{odd.channels[0]} has the opposite sign of {odd.against}: reverse it (--scale {odd.channels[0]}=-1)",
+            -1.0,
+        )
         for odd in _odd_ones(measured, np.diff(signs).tolist(), [0.0] * len(links), 0.0)
     ]
 
