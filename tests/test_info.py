@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import shlex
 
 import numpy as np
@@ -393,6 +394,36 @@ def test_a_speed_that_swings_or_is_driven_is_a_velocity():
     assert bq.info(bq.Record({"c1": v}, t, {"c1": "m/s"})).guess.chains == ((None, "c1", None),)
     driven = bq.Record({"v": np.exp(-t), "F": v}, t, {"v": "m/s", "F": "N"})
     assert bq.info(driven).guess.chains == ((None, "v", None),)
+
+
+def test_records_in_years_say_years(tmp_path, capsys):
+    k = np.arange(60.0)
+    x = 3.0 * np.exp(-k / 30.0) + np.random.default_rng(0).normal(size=60) * 0.01
+    path = tmp_path / "run.csv"
+    path.write_text("Year,x\n" + "".join(f"{1900 + t:.0f},{v:.5f}\n" for t, v in zip(k, x, strict=True)))
+    found = str(bq.info(path))
+    assert "60 rows at 1 per year, 59 years" in found
+    assert " 1/year" in found
+    saved = tmp_path / "eq.json"
+    arguments = ["--time", "Year", "--chain", "x", "--dictionary", "polynomial:1", "--save", str(saved)]
+    assert main(["discover", str(path), *arguments]) == 0
+    assert "60 rows at 1 per year, 60 years, of run.csv" in capsys.readouterr().out
+    assert bq.load(saved).data.clock == "year"
+    assert main(["predict", str(saved), str(path), "--time", "Year"]) == 0
+    assert "at 1 per year, 60 years, of run.csv" in capsys.readouterr().out
+
+
+def test_times_that_were_rounded_have_the_rate_that_they_were_rounded_from(tmp_path, capsys):
+    k = np.delete(np.arange(600), range(200, 212))
+    theta = 60.0 * np.exp(-k / 900) * np.cos(k / 9) + np.random.default_rng(0).normal(size=len(k)) * 0.1
+    path = tmp_path / "run.txt"
+    path.write_text("t (s)\ttheta (deg)\n" + "".join(f"{a / 30:.3f}\t{b:.2f}\n" for a, b in zip(k, theta, strict=True)))
+    proposal = bq.info(path)
+    assert "588 rows at uneven steps, mostly 0.03333 s (30 Hz), 19.967 s" in str(proposal)
+    assert main(shlex.split(proposal.proposal.command)[1:]) == 0
+    shown = capsys.readouterr()
+    assert re.search(r"588 rows at (30|29\.99\d*|30\.00\d*) Hz, 19\.97 s", shown.out)
+    assert "check units" not in shown.err
 
 
 def test_a_displacement_in_radians_gets_sines():

@@ -15,7 +15,7 @@ from bayeq.inspection.links import Link
 from bayeq.inspection.roles import INPUT, TITLES, Clue, Guess
 from bayeq.inspection.rows import Bad, Experiments, Gap
 from bayeq.markup import code, items, join, paragraph, table
-from bayeq.records.names import gain_and_unit
+from bayeq.records.names import gain_and_unit, rate_and_length
 
 HEADER = (
     "channel", "unit", "likely", "min", "max", "mean", "sd", "missing", "power by octave", "most at", "99 % below",
@@ -245,14 +245,16 @@ def title(found: RecordInfo) -> str:
     rows = f"{found.rows} row{'s' * (found.rows != 1)}"
     if found.fs is None or found.duration is None:
         return f"{name}{rows}, {channels}; no time in it: rate and duration are not known"
-    rate = (
-        f"at {found.fs:.6g} Hz"
-        if found.uniform
-        else f"at uneven steps, mostly {1 / found.fs:.4g} s ({found.fs:.4g} Hz)"
-    )
+    clock = found.experiments.records[0].clock
+    rate, duration = rate_and_length(f"{found.fs:.6g}", f"{found.duration:.6g}", clock)
+    if found.uniform:
+        rate = f"at {rate}"
+    else:
+        rate, step = rate_and_length(f"{found.fs:.4g}", f"{1 / found.fs:.4g}", clock)
+        rate = f"at uneven steps, mostly {step} ({rate})"
     number = len(found.experiments.records)
     several = f" in {number} experiments" if number > 1 else ""
-    return f"{name}{rows} {rate}, {found.duration:.6g} s{several}; {channels}"
+    return f"{name}{rows} {rate}, {duration}{several}; {channels}"
 
 
 def _sections(found: RecordInfo) -> list[tuple[str, Sequence[str]]]:
@@ -271,7 +273,9 @@ def _row(found: RecordInfo, channel: ChannelInfo, plain: bool, digits: int, long
     power = channel.spectrum
     spectrum = ("", "", "")
     if power is not None:
-        spectrum = (bars(power, plain), f"{power.peak:.3g} Hz", f"{power.bandwidth:.3g} Hz")
+        clock = found.experiments.records[0].clock
+        unit = "Hz" if clock == "s" else f"1/{clock}"
+        spectrum = (bars(power, plain), f"{power.peak:.3g} {unit}", f"{power.bandwidth:.3g} {unit}")
     role = found.guess.role_of(channel.name) or ("constant" if channel.constant else "?")
     values = (f"{value:.{digits}g}" if math.isfinite(value) else "" for value in numbers)
     names = (_cut(text, longest) for text in (channel.name, channel.unit))
@@ -390,7 +394,8 @@ def _dictionary(guess: Guess, clues: Mapping[str, Clue], rows: int) -> str | Non
         return QUADRATIC
     motion = guess.chains[0][0]
     if motion is not None and clues[motion].angle:
-        return f"oscillator + sin({motion}) + cos({motion})"
+        angle = f"pi*{motion}/180" if clues[motion].degrees else motion
+        return f"oscillator + sin({angle}) + cos({angle})"
     return None
 
 

@@ -274,9 +274,9 @@ def _on_time(found: RecordInfo) -> list[str]:
     out = []
     column = found.experiments.time
     if column is not None and not found.experiments.restarts:
-        out.append(
-            f"time: no column has its name; {column}, which rises, is taken, in seconds unless its header has a unit"
-        )
+        clock = found.experiments.records[0].clock
+        unit = "seconds unless its header has a unit" if clock == "s" else clock + "s" * (clock[-1] != "s")
+        out.append(f"time: no column has its name; {column}, which rises, is taken, in {unit}")
     if found.experiments.step is not None:
         out.append(f"time: {found.experiments.step} is constant and named as the time step [s]: taken for it")
     if found.experiments.counter is not None:

@@ -18,6 +18,7 @@ TITLES = {0: "displacement", 1: "velocity", 2: "acceleration", INPUT: "force or 
 
 FORCES = {"N", "kN", "mN", "MN", "daN", "lbf", "kgf", "Nm", "kNm", "mNm"}
 ANGLES = {"rad", "mrad", "deg", "°", "rev", "rpm"}
+DEGREES = {"deg", "°"}
 WARMTH = {"°C", "K", "degC", "°F", "degF"}
 
 # Words of names in English, German, French, Spanish and Italian, in small letters without accents. Quantities say what
@@ -76,6 +77,7 @@ class Clue:
     by_unit: bool  # whether the unit says it, which is surer than a name
     index: str  # what tells it from others of its kind: numbers in its name, or else its other words
     angle: bool  # whether it is an angle, by its unit or name
+    degrees: bool  # whether it is one in degrees
     symbol: bool = False  # whether only a symbol says it, which is less sure than a word
     rank: int = 0  # of an input: 0 measured force, 1 current, 2 command
 
@@ -142,8 +144,10 @@ def clue_of(name: str, unit: str) -> Clue:
     by_name, tier, others = _order_of_name(parts)
     digits = "_".join(part for part in parts if part.isdigit())
     index = digits or "_".join(others)
-    angle = unit in ("rad", "deg", "°") or (
-        not unit and any(part in ("th", "theta", "phi", "angle", "winkel") for part in parts)
+    angle = (
+        unit == "rad"
+        or unit in DEGREES
+        or (not unit and any(part in ("th", "theta", "phi", "angle", "winkel") for part in parts))
     )
     by_unit = _order_of_unit(unit)
     order, why = (by_name, "its name") if by_unit is None else (by_unit, f"its unit {unit}")
@@ -156,7 +160,8 @@ def clue_of(name: str, unit: str) -> Clue:
     elif by_name == STATE and order == 0:
         order, why = STATE, "its name"
     sure = by_unit is not None and order == by_unit
-    return Clue(order, why if order is not None else "", sure, index, angle, not sure and tier == 2, rank)
+    why = why if order is not None else ""
+    return Clue(order, why, sure, index, angle, unit in DEGREES, not sure and tier == 2, rank)
 
 
 def _order_of_unit(unit: str) -> int | None:
