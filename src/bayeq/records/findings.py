@@ -52,6 +52,11 @@ LEAST_REPEATS = 3
 LEVELS_PER_STEP = 8.0
 MOST_REPEATED = 0.3
 
+# Straight lines: second differences of this share of the largest, or as many levels as rounding makes of none. Bends
+# between them: at least this many, in fewer than this share of the rows, this many times larger; they lie evenly and
+# differ.
+STRAIGHT, ROUNDED, LEAST_BENDS, MOST_BENT, BENT = 1e-3, 2.01, 20, 0.6, 10.0
+
 # Steps of time [s] from which on they may be milliseconds without a unit, of motion of less rows a period than this.
 LEAST_STEP = 0.5
 MOST_ROWS_A_PERIOD = 200.0
@@ -74,7 +79,7 @@ class Finding:
     ----------
     kind : str
         ``"offset"``, ``"drift"``, ``"delay"``, ``"sign"``, ``"gain"``, ``"exchanged"``, ``"inconsistent"``,
-        ``"clipping"``, ``"dropped"``, ``"repeated"``, ``"again"`` or ``"clock"``.
+        ``"clipping"``, ``"dropped"``, ``"repeated"``, ``"interpolated"``, ``"again"`` or ``"clock"``.
     channels : tuple of str
         The channel that is at fault, then those that it was compared with.
     message : str
@@ -137,6 +142,7 @@ def check_record(
         if whole[name] and record.n >= LEAST_ROWS_TO_CHECK:
             clipped = _clipped(name, record[name], shut=name in inputs)
             found += clipped or _repeated(name, record[name], shut=name in inputs)
+            found += () if name in inputs else _interpolated(record, name)
     return found + _again(record, [name for name in dict.fromkeys((*names, *inputs)) if whole[name]])
 
 
@@ -539,3 +545,36 @@ def _repeated(name: str, values: Floats, shut: bool) -> list[Finding]:
         f" {int(starts[sudden][0]) + 2}: samples were lost and filled; leave these rows out"
     )
     return [Finding("repeated", (name,), message, float(count))]
+
+
+def _interpolated(record: Record, name: str) -> list[Finding]:
+    """A channel that is straight between samples that lie evenly.
+
+    Of a channel of levels second differences are none by chance, in no order; those of a triangle are all the same.
+    """
+    values = record[name]
+    bends = np.diff(values, 2)
+    largest = float(np.abs(bends).max())
+    if np.count_nonzero(np.abs(bends) > largest / BENT) >= MOST_BENT * len(bends) or not largest > 0.0:
+        return []  # most channels
+    if not record.is_uniform():
+        return []
+    straight = max(STRAIGHT * largest, ROUNDED * float(np.diff(np.unique(values)).min()))
+    rows = np.flatnonzero(np.abs(bends) > straight)
+    if not len(rows) < MOST_BENT * len(bends):
+        return []
+    # a bend between two samples shows in both
+    groups = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
+    if len(groups) < LEAST_BENDS or max(map(len, groups)) > 2:
+        return []
+    sizes, places = np.abs([bends[g].sum() for g in groups]), np.array([g.mean() for g in groups])
+    if float(np.median(sizes)) < BENT * straight or float(np.std(sizes)) < 0.1 * float(sizes.mean()):
+        return []
+    numbers = np.append(0.0, np.cumsum(np.round(np.diff(places) / np.median(np.diff(places)))))
+    every, first = np.polyfit(numbers, places, 1)
+    if float(np.abs(places - first - every * numbers).max()) > 1.0:
+        return []
+    rate = "" if record.fs is None else f" from {record.fs / every:.4g} Hz"
+    what = f"{name} is straight over every {every:.3g} samples"
+    message = f"{what}: it was interpolated{rate}; give the samples as measured"
+    return [Finding("interpolated", (name,), message, float(every))]
