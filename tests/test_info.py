@@ -374,6 +374,7 @@ def test_a_reversed_sensor_is_reversed_by_the_command(tmp_path):
         ({"ch1": 1.0}, {"ch1": "bar"}, "--chain ch1"),
         ({"meas_u": -1.0, "meas_i": 1.0, "meas_n": 2.0}, {}, "--chain meas_i --chain meas_n --input meas_u"),
         ({"n": 2.0, "Strom": 1.0}, {"n": "rpm", "Strom": "A"}, "--chain n --input Strom"),
+        ({"Spannung": 2.0, "Strom": 1.0}, {"Spannung": "V", "Strom": "A"}, "--chain Strom --input Spannung"),
     ],
 )
 def test_states_of_first_order_by_unit_name_or_course(channels, units, command, tmp_path):
@@ -387,6 +388,7 @@ def test_states_of_first_order_by_unit_name_or_course(channels, units, command, 
     assert f"run.csv {command} --dictionary polynomial:" in proposal.command
     if len(channels) == 3:
         assert any("which are in V, A or rpm?" in note for note in proposal.notes)
+        assert any("--chain meas_u --input meas_i --input meas_n" in note for note in proposal.notes)
 
 
 def test_a_speed_that_swings_or_is_driven_is_a_velocity():

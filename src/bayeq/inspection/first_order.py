@@ -17,6 +17,7 @@ from bayeq.records import Record
 # names without a unit, of which v, a or x are none.
 ROTATION = {"rpm", "1/min", "U/min", "min^-1"}
 UNITS = ROTATION | {"V", "mV", "kV", "uV", "µV", "A", "mA", "kA", "bar", "mbar", "%"}
+CURRENTS = {"A", "mA", "kA"}
 SYMBOLS = re.compile(r"([VUIT](_.*)?|[uin])(_?\d+)?")
 
 # A channel only decays where means over this many stretches fall, but for a share of the first one, to this share of it
@@ -26,45 +27,52 @@ STRETCHES, UNEVEN, DECAYED, LEFT = 16, 0.02, 0.8, 0.02
 
 def of_first_order(guess: Guess, clues: Mapping[str, Clue], record: Record) -> Guess:
     """The same with states of first order where there are no coordinates, or a speed alone that needs none."""
-    units = record.units
+    units, reasons, questions = record.units, dict(guess.reasons), list(guess.questions)
     speed = next((chain[1] for chain in guess.chains if chain[::2] == (None, None)), None)
-    reasons, questions = dict(guess.reasons), list(guess.questions)
-    if guess.chains and (speed is None or len(guess.chains) > 1):
+    by_force = any(clues[name].by_unit for name in guess.inputs)
+    if (guess.chains or by_force) if speed is None else len(guess.chains) > 1:
         return guess
     bare = _without_prefix([*guess.undecided, *guess.inputs])
-    alike = [n for n in bare if units.get(n) in UNITS or (n not in units and SYMBOLS.fullmatch(bare[n]))]
-    states = [name for name in alike if name in guess.undecided and name not in reasons]
-    if speed is not None:
-        if not guess.inputs and only_decays(record[speed]):
-            reasons[speed] = f"{clues[speed].why}; it only decays and no force is known: its rate is what is sought"
-        elif units.get(speed) in ROTATION:
-            reasons[speed] = f"{clues[speed].why}, a speed of rotation, whose rate is sought"
-        else:
-            return guess
-    driving = [name for name in states if clue_of(bare[name], units.get(name, "")).order == INPUT]
-    if len(driving) == len(states) and speed is None:
-        driving = driving[:-1]
-        states = states or [name for name in guess.inputs if len(alike) == 1 and name in alike]
-    inputs = [*(name for name in guess.inputs if name not in states), *driving]
-    states = [name for name in states if name not in driving]
-    if not states and speed is None:
+    alike = [
+        name
+        for name in bare
+        if (units[name] in UNITS if name in units else SYMBOLS.fullmatch(bare[name]))
+        and (name not in reasons or name in guess.inputs or (speed is None and clues[name].order == INPUT))
+    ]
+    if speed is not None and not guess.inputs and only_decays(record[speed]):
+        reasons[speed] = f"{clues[speed].why}; it only decays and no force is known: its rate is what is sought"
+    elif speed is not None and units.get(speed) in ROTATION:
+        reasons[speed] = f"{clues[speed].why}, a speed of rotation, whose rate is sought"
+    elif speed is not None or not alike:
         return guess
-    for name in (*states, *driving):
+    applied = [n for n in alike if n in guess.inputs or clue_of(bare[n], units.get(n, "")).order == INPUT]
+    if speed is None and applied == alike:  # a current follows a voltage
+        applied.remove(next((name for name in applied if units.get(name) in CURRENTS), applied[-1]))
+    states = [name for name in alike if name not in applied]
+    inputs = [*(name for name in guess.inputs if name not in (*states, *applied)), *applied]
+    for name in alike:
         reasons[name] = f"its unit {units[name]}" if name in units else "its name"
-    unknown = [name for name in (*states, *driving) if name not in units]
-    if len(unknown) > 1:
-        questions.append(
-            f"{some_of(unknown, 30)} have no units: which are in V, A or rpm? What is applied is an --input, what it"
-            " drives a --chain"
-        )
-    if states:
-        one = states[0]
-        questions.append(f"{one} is taken as of first order; if it is a motion: --disp, --vel or --acc {one}")
-    chains = tuple((name,) for name in (*([speed] if speed else []), *states))
-    undecided = tuple(name for name in guess.undecided if name not in (*states, *driving))
+    chains = [*([speed] if speed is not None else []), *states]
+    questions += _questions(chains, applied, [name for name in alike if name not in units])
     return replace(
-        guess, chains=chains, inputs=tuple(inputs), undecided=undecided, reasons=reasons, questions=tuple(questions)
+        guess,
+        chains=tuple((name,) for name in chains),
+        inputs=tuple(inputs),
+        undecided=tuple(name for name in guess.undecided if name not in alike),
+        reasons=reasons,
+        questions=tuple(questions),
     )
+
+
+def _questions(states: Sequence[str], applied: Sequence[str], unknown: Sequence[str]) -> list[str]:
+    """What else channels may be."""
+    if len(states) + len(applied) < 2:
+        return [f"{states[0]} is taken as of first order; if it is a motion: --disp, --vel or --acc {states[0]}"]
+    out = [f"{some_of(unknown, 30)}: no unit is known; which are in V, A or rpm?"] if len(unknown) > 1 else []
+    other = [f"--chain {name}" for name in applied] + [f"--input {name}" for name in states]
+    if applied:
+        out.append(f"what is applied is an input, what follows a state; the other way round: {' '.join(other)}")
+    return out
 
 
 def _without_prefix(names: Sequence[str]) -> dict[str, str]:
