@@ -372,6 +372,7 @@ def test_a_reversed_sensor_is_reversed_by_the_command(tmp_path):
         ({"Speed": 3.0}, {"Speed": "m/s"}, "--chain Speed"),
         ({"V_C": 1.0}, {}, "--chain V_C"),
         ({"ch1": 1.0}, {"ch1": "bar"}, "--chain ch1"),
+        ({"V_C1": 1.0, "V_C2": 2.0}, {}, "--chain V_C1 --chain V_C2"),
         ({"meas_u": -1.0, "meas_i": 1.0, "meas_n": 2.0}, {}, "--chain meas_i --chain meas_n --input meas_u"),
         ({"n": 2.0, "Strom": 1.0}, {"n": "rpm", "Strom": "A"}, "--chain n --input Strom"),
         ({"Spannung": 2.0, "Strom": 1.0}, {"Spannung": "V", "Strom": "A"}, "--chain Strom --input Spannung"),

@@ -36,7 +36,7 @@ def of_first_order(guess: Guess, clues: Mapping[str, Clue], record: Record) -> G
     alike = [
         name
         for name in bare
-        if (units[name] in UNITS if name in units else SYMBOLS.fullmatch(bare[name]))
+        if (units[name] in UNITS if name in units else SYMBOLS.fullmatch(bare[name]) or SYMBOLS.fullmatch(name))
         and (name not in reasons or name in guess.inputs or (speed is None and clues[name].order == INPUT))
     ]
     if speed is not None and not guess.inputs and only_decays(record[speed]):

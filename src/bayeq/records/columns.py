@@ -402,7 +402,8 @@ def find_time(
         return data.time
     if data.headers.time is not None or data.step is not None or len(data.values) < 2:
         return data.headers.time
-    return next((i for i, x in enumerate(data.values) if units.get(i) in SECONDS and _rises(x)), None)
+    rising = (i for i, x in enumerate(data.values) if units.get(i) in SECONDS and (_rises(x) or _ends_in_a_summary(x)))
+    return next(rising, None)
 
 
 def _ends_in_a_summary(time: Floats) -> bool:

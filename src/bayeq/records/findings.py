@@ -229,10 +229,13 @@ def _kinematics(record: Record, chain: Sequence[str | None]) -> list[Finding]:
 def _exchanged(record: Record, p: str, q: str, order: int, link: Relation, frames: Frames) -> list[Finding]:
     """Whether p is the derivative of q, in the units of the other each, where q is not that of p."""
     stated = _stated_gain(record, p, q, order)
-    if record.time is None or (link.fit >= RECORDS.least_fit and abs(math.log(link.gain / stated)) < EXCHANGED):
+    as_said = link.fit >= RECORDS.least_fit and abs(math.log(link.gain / stated)) < EXCHANGED
+    if record.time is None or as_said or counts_rows(record):
         return []
     back = relate(record.time, record[q], record[p], order, frames)
     if back is None or back.fit < RECORDS.least_fit or back.sign < 0 or abs(math.log(back.gain / stated)) > AS_STATED:
+        return []
+    if back.least_gain * link.most_gain < link.least_gain * back.most_gain:  # the gain is less the same
         return []
     units = [f"{name}={record.units[other]}" for name, other in ((p, q), (q, p)) if other in record.units]
     given = f" and --units {','.join(units)}" if len(units) == 2 else ""
