@@ -119,6 +119,35 @@ def test_delays_between_two_channels_blame_the_derivative():
     assert finding.message.startswith("a is ahead of d2x/dt2 by 2")
 
 
+@pytest.mark.parametrize("digits", [3, 5, 12])
+@pytest.mark.parametrize("fs", [400.0, 330.0])
+def test_interpolated_samples_are_noticed(digits, fs):
+    rng = np.random.default_rng(1)
+    coarse = np.arange(501) / 50
+    t = np.arange(0.0, 10.0, 1.0 / fs)
+    x = np.cumsum(rng.normal(size=501))
+    made = bq.Record({"x": np.round(np.interp(t, coarse, x), digits), "u": np.sin(t)}, t)
+    (finding,) = bq.check_record(made, ["x::"], ["u"])
+    assert (finding.kind, finding.value) == ("interpolated", pytest.approx(fs / 50, rel=1e-3))
+    assert "it was interpolated from 50 Hz; give the samples as measured" in finding.message
+
+
+def test_triangles_levels_holds_and_smooth_motion_are_not_interpolated():
+    t = np.arange(4000) / 400
+    slow = np.sin(2.0 * t) + 0.3 * np.sin(5.1 * t)
+    for x in (
+        np.abs((t * 5) % 2 - 1),  # a triangle
+        np.round(slow, 2),
+        np.round(slow, 3),
+        slow,
+        np.repeat(np.random.default_rng(0).normal(size=500), 8),
+        np.where(np.arange(4000) % 40 == 0, 1.0, 0.0),
+        np.interp(t, np.sort(np.random.default_rng(0).uniform(0, 10, 300)), np.random.default_rng(1).normal(size=300)),
+    ):
+        found = bq.check_record(bq.Record({"x": x}, t), ["x::"])
+        assert "interpolated" not in {finding.kind for finding in found}
+
+
 @pytest.mark.parametrize("channel", ["x", "v", "a"])
 def test_a_wrong_sign_is_named(channel):
     for seed, system in enumerate(OSCILLATORS):
@@ -126,7 +155,7 @@ def test_a_wrong_sign_is_named(channel):
         (finding,) = bq.check_record(record.with_channels({channel: -record[channel]}), CHAIN, ["u"])
         assert (finding.kind, finding.channels[0], finding.value) == ("sign", channel, -1.0)
     what = {"x": "the integral of v", "v": "dx/dt", "a": "d2x/dt2"}[channel]
-    assert finding.message == f"{channel} has the opposite sign of {what}: reverse it"
+    assert finding.message == f"{channel} has the opposite sign of {what}: reverse it (--scale {channel}=-1)"
 
 
 @pytest.mark.parametrize("channel", ["x", "v", "a"])
@@ -414,7 +443,7 @@ def test_many_records_are_told_of_once():
     records = [simulated("linear", seed, n=1000).renamed(f"run{seed}") for seed in range(4)]
     wrong = [r.with_channels({"v": -r["v"]}) if k else r for k, r in enumerate(records)]
     (message,) = check_messages(wrong, [("x", "v", "a")], ["u"])
-    assert message == "run1: v has the opposite sign of dx/dt: reverse it (and 2 more records alike)"
+    assert message == "run1: v has the opposite sign of dx/dt: reverse it (--scale v=-1) (and 2 more records alike)"
 
 
 def test_the_command_warns_and_goes_on(tmp_path, capsys):

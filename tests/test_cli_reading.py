@@ -18,6 +18,7 @@ from bayeq.cli.app import main
 from bayeq.cli.reading import Reading
 from bayeq.cli.terminal import COMPILING, PROGRESS
 from bayeq.errors import InputError
+from bayeq.records.io import rows_of
 from bayeq.records.names import conversion, require_unit
 
 pytestmark = pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
@@ -184,10 +185,10 @@ def test_rows_are_those_of_python(n, first, last):
     reading = Reading.of({**NOTHING, "rows": text})
     wanted = np.arange(n)[first:last]
     if len(wanted):
-        assert reading._altered(record)["x"].tolist() == wanted.tolist()
+        assert rows_of(record, reading.rows)["x"].tolist() == wanted.tolist()
     else:
         with pytest.raises(InputError, match="leaves none of"):
-            reading._altered(record)
+            rows_of(record, reading.rows)
 
 
 NOTHING = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -138,6 +139,33 @@ def test_time(tmp_path: Path) -> None:
         read(path, time="tme")
     with pytest.raises(RecordError, match="no channels besides time"):
         read(put(tmp_path, "t\n0\n1\n"))
+
+
+@pytest.mark.parametrize(
+    ("foot", "said"),
+    [
+        ("Mean,2.5\nMax,9\n", "line 52: 2 lines begin with words ('Mean'): left out"),
+        ("5", "line 52: 1 of 2 values, as where a file was cut off: left out"),
+        ("2.45,4.5\n", "time goes back in row 51, the last: it is left out"),
+    ],
+)
+def test_a_summary_and_a_line_that_is_cut_short_are_left_out(tmp_path: Path, foot: str, said: str) -> None:
+    body = "t,x\n" + "".join(f"{k / 10},{k % 7}\n" for k in range(50))
+    whole = read(put(tmp_path, body))
+    with pytest.warns(DataWarning, match=re.escape(said)):
+        record = read(put(tmp_path, body + foot))
+    assert record.time.tolist() == whole.time.tolist()
+    assert record["x"].tolist() == whole["x"].tolist()
+
+
+@pytest.mark.parametrize("foot", ["5,oops\n", "5,1,2\n", "Mean,2\n5.1,3\n", "5\n5.1,3\n", "Mean,2\n" * 20])
+def test_rows_above_a_fault_can_be_read(tmp_path: Path, foot: str) -> None:
+    path = put(tmp_path, "t,x\n" + "".join(f"{k / 10},{k % 7}\n" for k in range(50)) + foot)
+    with pytest.raises(FileFormatError, match="line 52"):
+        read(path)
+    assert read(path, rows=slice(10, 50))["x"].tolist() == [k % 7 for k in range(10, 50)]
+    with pytest.raises(FileFormatError, match="line 52"):
+        read(path, rows=slice(0, 51))
 
 
 def test_columns_pass_over_text(tmp_path: Path) -> None:

@@ -181,13 +181,10 @@ class Reading:
     def _altered(self, record: Record) -> Record:
         """The rows that are used, without offsets."""
         from bayeq.records import remove_offset
+        from bayeq.records.io import rows_of
 
-        if self.rows is not None:
-            chosen = range(record.n)[self.rows]
-            if not len(chosen):
-                first, last = (("" if end is None else end) for end in (self.rows.start, self.rows.stop))
-                raise InputError(f"{record.name}: --rows {first}:{last} leaves none of {record.n} rows")
-            record = record.take(self.rows)
+        if self.rows is not None and self.join:
+            record = rows_of(record, self.rows)
         for name, value in self.offsets.items():
             record = remove_offset(record, name, value)
         return record
@@ -197,7 +194,7 @@ class Reading:
         from bayeq.records import read
         from bayeq.records.names import is_time_name
 
-        options = self.of_file
+        options = {**self.of_file, "rows": None if self.join else self.rows}
         found: Record | list[Record]
         if self.join:
             found = _read_those_there(file, dict(paths) or {name: name for name in used}, options)

@@ -24,6 +24,7 @@ from bayeq.inference.posterior import Posterior
 from bayeq.ode.rk4 import Interpolation
 from bayeq.plan.designs import Measured
 from bayeq.records import Record, counts_rows
+from bayeq.records.names import rate_and_length
 from bayeq.refine.refine import Refinement
 from bayeq.regression.constraints import CONSERVED, Constraints, parse_constraints
 from bayeq.regression.design import DroppedTerm
@@ -62,6 +63,8 @@ class DataSummary:
         What was known of the channels.
     seconds : float or None
         Length of all records together [s]; None where time is not known.
+    clock : str
+        Unit of time, "s", or "year" of records that are counted in years; `seconds` and `fs` are then in it.
     rows_as_time : bool
         Whether the number of the row was taken for time, which was not known: coefficients are per sample.
     band : (float, float) or None
@@ -86,6 +89,7 @@ class DataSummary:
     measured: Measured = field(default_factory=Measured)
     sensors: Sensors = field(default_factory=Sensors)
     seconds: float | None = None
+    clock: str = "s"
     rows_as_time: bool = False
     band: tuple[float, float] | None = None
     stretches: int = 0
@@ -111,12 +115,18 @@ class DataSummary:
         """Sampling rate [Hz] of the longest record; None where time is not known."""
         return None if self.rows_as_time else self.measured.fs
 
+    @property
+    def sampling(self) -> tuple[str, str] | None:
+        """Rate and length as text; None where time is not known."""
+        if self.fs is None or self.seconds is None:
+            return None
+        return rate_and_length(f"{self.fs:.6g}", f"{self.seconds:.4g}", self.clock)
+
     @classmethod
     def of(cls, records: Sequence[Record], motion: Motion, refitted: bool = False) -> Self:
         """The summary of some records and their motion."""
         used, held_out = motion.counts
         rows_as_time = any(map(counts_rows, records))
-        lengths = [0.0 if record.fs is None else record.n / record.fs for record in records]
         return cls(
             files=tuple(dict.fromkeys(record.name for record in records)),
             n=used + held_out,
@@ -128,7 +138,8 @@ class DataSummary:
             refitted=refitted,
             measured=Measured.of(records, motion.roles.measured, motion.roles.inputs),
             sensors=motion.sensors,
-            seconds=None if rows_as_time or not motion.timed else sum(lengths),
+            seconds=None if rows_as_time or not motion.timed else sum(record.duration for record in records),
+            clock="s" if rows_as_time else records[0].clock,
             rows_as_time=rows_as_time,
             band=motion.band,
             interpolation={

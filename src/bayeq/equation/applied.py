@@ -24,7 +24,7 @@ from bayeq.forecast.score import percentages
 from bayeq.numerics.distributions import Z95
 from bayeq.numerics.settings import EQUATION
 from bayeq.records import Record, counts_rows
-from bayeq.records.names import conversion
+from bayeq.records.names import conversion, rate_and_length
 from bayeq.states import estimate_motion
 from bayeq.states.prepare import in_samples, numbered
 
@@ -69,6 +69,7 @@ class Prediction:
     blew_up_at: float | None  # time [s] at which a free run left any reasonable range
     notes: tuple[str, ...]  # what to know about the comparison
     runs: tuple[tuple[str, Forecast], ...]  # the free run of each record, by its name
+    clock: str = "s"  # unit of time
 
     def to_dict(self) -> dict[str, Any]:
         """What ``bayeq predict --json`` prints; None for the infinite error of a run that blew up."""
@@ -99,7 +100,10 @@ class Prediction:
         lines.append(
             "inside: share of the measured samples in the 95 % band, of coefficients, what terms leave out and noise"
         )
-        rate = "" if self.fs is None or self.seconds is None else f" at {self.fs:.6g} Hz, {self.seconds:.4g} s,"
+        rate = ""
+        if self.fs is not None and self.seconds is not None:
+            texts = rate_and_length(f"{self.fs:.6g}", f"{self.seconds:.4g}", self.clock)
+            rate = " at {}, {},".format(*texts)
         source = f" of {self.files[0]}" if len(self.files) == 1 else f" of {len(self.files)} records"
         lines.append(f"{self.rows} rows{rate}{source}")
         return "\n".join(lines)
@@ -202,13 +206,14 @@ def apply_to(equations: Equations, records: Sequence[Record], draws: int = 200, 
         files=tuple(dict.fromkeys(record.name for record in records)),
         rows=scores.rows,
         fs=pieces[0].fs if timed else None,
-        seconds=sum(piece.n / piece.fs for piece in pieces if piece.fs is not None) if timed else None,
+        seconds=sum(piece.duration for piece in pieces) if timed else None,
         one_step=one_step,
         free_run=free_run,
         windows=by_target,
         blew_up_at=scores.blew_up_at,
         notes=tuple(dict.fromkeys(notes)),
         runs=runs,
+        clock=records[0].clock,
     )
 
 

@@ -135,8 +135,8 @@ def source_of(eq: Answer, short: bool = False) -> str:
     rate = ""  # and length of the records, as far as known
     if eq.data.rows_as_time and not eq.roles.discrete:
         rate = ", time not known"
-    elif not (eq.roles.discrete or eq.data.fs is None or eq.data.seconds is None):
-        rate = f" at {eq.data.fs:.6g} Hz, {eq.data.seconds:.4g} s"
+    elif eq.data.sampling is not None and not eq.roles.discrete:
+        rate = " at {}, {}".format(*eq.data.sampling)
     return f"{eq.data.n} rows{rate}{',' if rate and source else ''}{source}, {used}"
 
 

@@ -50,6 +50,7 @@ def to_dict(eq: Answer) -> dict[str, Any]:
             **_attributes(eq, "inputs", "dictionary", "smooth"),
             **_attributes(eq.data, "band", "estimated", "smoothed", "holdout", "refitted", "stretches"),
             **{name: value for name, value in _attributes(eq.data, "noise_sd", "interpolation").items() if value},
+            **({} if eq.data.clock == "s" else {"clock": eq.data.clock}),
             "measured": asdict(eq.data.measured),
             **{
                 name: value

@@ -346,7 +346,7 @@ class Answer(Protocol):
     @property
     def inputs(self) -> tuple[str, ...]: ...
     @property
-    def data(self) -> Any: ...  # the summary of the data: holdout, rows_as_time, estimated
+    def data(self) -> Any: ...  # the summary of the data: holdout, clock, rows_as_time, estimated
     def motion(self, record: Record) -> MotionRows: ...
     def simulate(self, record: Record, *, draws: int = 200, start: int = 0, rows: int | None = None) -> Run: ...
 
@@ -438,12 +438,13 @@ def units_of(eq: Answer) -> dict[str, str]:
 
 def time_label(eq: Answer) -> str:
     """Label of an axis of time, which is counted in rows where it is not known."""
-    return "row" if eq.data.rows_as_time else "time [s]"
+    return "row" if eq.data.rows_as_time else f"time [{eq.data.clock}]"
 
 
 def frequency_label(eq: Answer) -> str:
     """Label of an axis of frequency."""
-    return "frequency [1/row]" if eq.data.rows_as_time else "frequency [Hz]"
+    unit = "1/row" if eq.data.rows_as_time else "Hz" if eq.data.clock == "s" else f"1/{eq.data.clock}"
+    return f"frequency [{unit}]"
 
 
 def titled(ax: Axes, eq: Answer, target: str) -> None:

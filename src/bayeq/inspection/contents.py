@@ -4,24 +4,31 @@ from __future__ import annotations
 
 import math
 import shlex
+import textwrap
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from bayeq.errors import printable, some_of
 from bayeq.inspection.channels import ChannelInfo, bars
 from bayeq.inspection.links import Link
-from bayeq.inspection.roles import Clue, Guess
+from bayeq.inspection.roles import INPUT, TITLES, Clue, Guess
 from bayeq.inspection.rows import Bad, Experiments, Gap
 from bayeq.markup import code, items, join, paragraph, table
+from bayeq.records.names import gain_and_unit, rate_and_length
 
 HEADER = (
     "channel", "unit", "likely", "min", "max", "mean", "sd", "missing", "power by octave", "most at", "99 % below",
 )  # fmt: skip
 LEFT = (0, 1, 2, 8)
 
-# Longer names and units are cut, so that rows stay rows.
-LONGEST_TEXT = 24
+# Characters of a line; commands, which are copied, and tables of many wide numbers may have more.
+WIDTH = 100
+
+# Digits of numbers, characters of names and units, which are cut so that rows stay rows, and blanks between columns:
+# the first that fit.
+SIZES = ((4, 24, 2), (3, 24, 2), (3, 24, 1), (3, 16, 1), (3, 12, 1), (3, 8, 1))
+SHORT = {"power by octave": "octaves", TITLES[INPUT]: "input"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +46,7 @@ class Reading:
     rows: slice | None = None
     sheet: str | None = None
     clocked: bool = True  # whether there is time at all
+    reversed: tuple[str, ...] = ()  # channels of the opposite sign
     unnumbered: bool = False  # whether time starts over and no column numbers the experiments
 
 
@@ -124,7 +132,7 @@ class RecordInfo:
         return f"<RecordInfo of {self.name or 'a record'}: {self.rows} rows, {len(self.channels)} channels>"
 
     def _repr_html_(self) -> str:
-        rows = [_row(self, channel, False) for channel in self.channels.values()]
+        rows = [_row(self, channel, False, *SIZES[0][:2]) for channel in self.channels.values()]
         parts = [paragraph(title(self), strong=True), table(HEADER, rows, LEFT)]
         for heading, texts in _sections(self):
             parts += [paragraph(heading), items(texts)]
@@ -206,12 +214,27 @@ class RecordInfo:
 def as_text(found: RecordInfo, plain: bool = False) -> str:
     """The summary; with `plain` in characters that every terminal has."""
     lines = [title(found), ""]
-    lines += _aligned([HEADER, *(_row(found, channel, plain) for channel in found.channels.values())], plain)
+    for digits, longest, blanks in SIZES:
+        rows = [HEADER, *(_row(found, channel, plain, digits, longest) for channel in found.channels.values())]
+        if digits < SIZES[0][0]:
+            rows = [tuple(SHORT.get(cell, cell) for cell in row) for row in rows]
+        aligned = _aligned(rows, plain, " " * blanks)
+        if len(aligned[0]) <= WIDTH:
+            break
+    lines += aligned
     for heading, texts in _sections(found):
-        lines += ["", heading, *(f"  {text}" for text in texts)]
+        lines += ["", heading, *(line for text in texts for line in _wrapped(text))]
     lines += ["", "next", f"  {found.proposal.command or found.proposal.python}"]
-    lines += [f"  {note}" for note in found.proposal.notes]
+    lines += [line for note in found.proposal.notes for line in _wrapped(note)]
     return "\n".join(printable(line.rstrip()) for line in lines)
+
+
+def _wrapped(text: str) -> list[str]:
+    """A sentence as lines."""
+    return textwrap.wrap(
+        printable(text), WIDTH, initial_indent="  ", subsequent_indent="    ", break_long_words=False,
+        break_on_hyphens=False,
+    )  # fmt: skip
 
 
 def title(found: RecordInfo) -> str:
@@ -222,47 +245,54 @@ def title(found: RecordInfo) -> str:
     rows = f"{found.rows} row{'s' * (found.rows != 1)}"
     if found.fs is None or found.duration is None:
         return f"{name}{rows}, {channels}; no time in it: rate and duration are not known"
-    rate = (
-        f"at {found.fs:.6g} Hz"
-        if found.uniform
-        else f"at uneven steps, mostly {1 / found.fs:.4g} s ({found.fs:.4g} Hz)"
-    )
+    clock = found.experiments.records[0].clock
+    rate, duration = rate_and_length(f"{found.fs:.6g}", f"{found.duration:.6g}", clock)
+    if found.uniform:
+        rate = f"at {rate}"
+    else:
+        rate, step = rate_and_length(f"{found.fs:.4g}", f"{1 / found.fs:.4g}", clock)
+        rate = f"at uneven steps, mostly {step} ({rate})"
     number = len(found.experiments.records)
     several = f" in {number} experiments" if number > 1 else ""
-    return f"{name}{rows} {rate}, {found.duration:.6g} s{several}; {channels}"
+    return f"{name}{rows} {rate}, {duration}{several}; {channels}"
 
 
 def _sections(found: RecordInfo) -> list[tuple[str, Sequence[str]]]:
     out: list[tuple[str, Sequence[str]]] = []
     if found.guess.reasons:
         roles = ((name, found.guess.role_of(name), found.guess.reasons.get(name)) for name in found.channels)
-        why = [f"{_cut(name)}: {role} ({reason})" for name, role, reason in roles if role and reason]
+        why = [f"{_cut(name, SIZES[0][1])}: {role} ({reason})" for name, role, reason in roles if role and reason]
         out.append(("why", why))
     if found.findings:
         out.append(("noticed", found.findings))
     return out
 
 
-def _row(found: RecordInfo, channel: ChannelInfo, plain: bool) -> tuple[str, ...]:
+def _row(found: RecordInfo, channel: ChannelInfo, plain: bool, digits: int, longest: int) -> tuple[str, ...]:
     numbers = (channel.least, channel.greatest, channel.mean, channel.sd)
     power = channel.spectrum
     spectrum = ("", "", "")
     if power is not None:
-        spectrum = (bars(power, plain), f"{power.peak:.3g} Hz", f"{power.bandwidth:.3g} Hz")
+        clock = found.experiments.records[0].clock
+        unit = "Hz" if clock == "s" else f"1/{clock}"
+        spectrum = (bars(power, plain), f"{power.peak:.3g} {unit}", f"{power.bandwidth:.3g} {unit}")
     role = found.guess.role_of(channel.name) or ("constant" if channel.constant else "?")
-    values = (f"{value:.4g}" if math.isfinite(value) else "" for value in numbers)
-    return (_cut(channel.name), _cut(channel.unit), role, *values, str(channel.missing or ""), *spectrum)
+    values = (f"{value:.{digits}g}" if math.isfinite(value) else "" for value in numbers)
+    names = (_cut(text, longest) for text in (channel.name, channel.unit))
+    return (*names, role, *values, str(channel.missing or ""), *spectrum)
 
 
-def _cut(text: str) -> str:
-    return text if len(text) <= LONGEST_TEXT else f"{text[: LONGEST_TEXT - 1]}…"
+def _cut(text: str, longest: int) -> str:
+    """The beginning and the end, by which names differ."""
+    half = longest // 2
+    return text if len(text) <= longest else f"{text[: longest - half - 1]}…{text[-half:]}"
 
 
-def _aligned(rows: Sequence[Sequence[str]], plain: bool) -> list[str]:
+def _aligned(rows: Sequence[Sequence[str]], plain: bool, gap: str) -> list[str]:
     """Columns under each other; those that are empty throughout are left out."""
     kept = [k for k in range(len(rows[0])) if k < 3 or any(row[k] for row in rows[1:])]
     widths = {k: max(len(row[k]) for row in rows) for k in kept}
-    lines = ["  ".join(row[k].ljust(widths[k]) if k in LEFT else row[k].rjust(widths[k]) for k in kept) for row in rows]
+    lines = [gap.join(row[k].ljust(widths[k]) if k in LEFT else row[k].rjust(widths[k]) for k in kept) for row in rows]
     rule = "-" if plain else "─"
     return [lines[0], rule * max(map(len, lines)), *lines[1:]]
 
@@ -293,7 +323,7 @@ def propose(guess: Guess, clues: Mapping[str, Clue], reading: Reading, rows: int
     if dictionary is not None:
         options.append(("--dictionary", dictionary))
         arguments.append(f"dictionary={dictionary!r}")
-    _say_undecided(guess, notes)
+    _say_undecided(guess, clues, notes)
     command = None
     if reading.files:
         files = [name if not name.startswith("-") else f"./{name}" for name in reading.files]
@@ -310,6 +340,7 @@ def propose(guess: Guess, clues: Mapping[str, Clue], reading: Reading, rows: int
 def _reading_options(reading: Reading) -> list[tuple[str, str]]:
     out = [(f"--{key}", value) for key in ("time", "names", "group") if (value := getattr(reading, key)) is not None]
     out += [("--units", ",".join(f"{name}={unit}" for name, unit in reading.units.items()))] if reading.units else []
+    out += [("--scale", f"{name}=-1") for name in reading.reversed]
     out += [("--skip", str(reading.skip))] if reading.skip else []
     out += [("--sheet", reading.sheet)] if reading.sheet else []
     if reading.rows is not None:
@@ -363,18 +394,24 @@ def _dictionary(guess: Guess, clues: Mapping[str, Clue], rows: int) -> str | Non
         return QUADRATIC
     motion = guess.chains[0][0]
     if motion is not None and clues[motion].angle:
-        return f"oscillator + sin({motion}) + cos({motion})"
+        angle = f"pi*{motion}/180" if clues[motion].degrees else motion
+        return f"oscillator + sin({angle}) + cos({angle})"
     return None
 
 
-def _say_undecided(guess: Guess, notes: list[str]) -> None:
+def _say_undecided(guess: Guess, clues: Mapping[str, Clue], notes: list[str]) -> None:
     notes += guess.questions
     notes += [f"{name} is not used: it {guess.reasons[name]}" for name in guess.undecided if name in guess.reasons]
     open_ = [name for name in guess.undecided if name not in guess.reasons]
     if open_ and guess.chains:
+        order = clues[open_[0]].order
+        before, after = {1: (":", ":"), 2: ("::", "")}.get(-1 if order is None else order, ("", "::"))
+        what = "a coordinate"
+        if len(guess.chains[0]) == 1:
+            before, after, what = "", "", "a state"
         notes.append(
-            f"not used: {some_of(open_, 30)}; an input: --input {shlex.quote(open_[0])}; a coordinate of its own:"
-            f" --chain {shlex.quote(open_[0] + '::')}"
+            f"not used: {some_of(open_, 30)}; an input: --input {shlex.quote(open_[0])}; {what} of its own:"
+            f" --chain {shlex.quote(before + open_[0] + after)}"
         )
     elif guess.chains and not guess.inputs:
         notes.append("no channel is known to be a force: without one the motion is taken as free")
@@ -383,6 +420,9 @@ def _say_undecided(guess: Guess, notes: list[str]) -> None:
 def _python(reading: Reading, arguments: Sequence[str]) -> str:
     if not reading.files:
         return f"bq.discover(record, {', '.join(arguments)})"
+    gains = {name: gain_and_unit(reading.units.get(name, "")) for name in reading.reversed}
+    units = {name: f"{-gain:g} {unit or ''}".strip() for name, (gain, unit) in gains.items()}
+    reading = replace(reading, units={**reading.units, **units})
     keys = ("time", "fs", "names", "group", "units", "channels", "skip", "sheet")
     options = [f"{key}={getattr(reading, key)!r}" for key in keys if getattr(reading, key)]
     if not reading.clocked and reading.fs is None:

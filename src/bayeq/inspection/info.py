@@ -14,10 +14,12 @@ import numpy as np
 from bayeq.errors import InputError, LengthsError, RecordError, WordsError, some_of
 from bayeq.inspection.channels import describe_channels
 from bayeq.inspection.contents import Proposal, Reading, RecordInfo, propose
+from bayeq.inspection.first_order import of_first_order
 from bayeq.inspection.links import Link, correlations, drivers, find_links, first_order, rough_channels, short_record
 from bayeq.inspection.roles import INPUT, REFERENCE, Guess, clue_of, guess_roles
 from bayeq.inspection.rows import Experiments, find_bad, gaps_of, sort_rows, starts_from_rest
 from bayeq.records import Record, as_record, check_record, read, without_copies
+from bayeq.records.findings import Finding
 from bayeq.records.names import is_time_name
 from bayeq.records.record import with_only
 from bayeq.states.bad_samples import ADVICE
@@ -75,10 +77,10 @@ def info(
     """
     how = {
         "time": time, "fs": fs, "names": names, "units": units, "group": group, "channels": channels, "skip": skip,
-        "sheet": sheet,
+        "sheet": sheet, "rows": rows,
     }  # fmt: skip
     if isinstance(source, Record):
-        used = [key for key, value in {**how, "rows": rows}.items() if value]
+        used = [key for key, value in how.items() if value]
         if used:
             raise InputError(f"{used[0]} says how a file is read; a Record has been read")
         return _described(sort_rows(source), source.name, Reading(clocked=source.time is not None))
@@ -87,18 +89,18 @@ def info(
     path = Path(source)
     listed = names if names is None or isinstance(names, str) else ",".join(names)
     reading = Reading((str(path),), time, fs, listed, group, dict(units or {}), dict(channels or {}), skip, rows, sheet)
-    experiments, remarks = _numbers(path, rows or slice(None), how)
+    experiments, remarks = _numbers(path, how)
     found = _described(experiments, path.name, reading)
     return replace(found, findings=(*remarks, *found.findings))
 
 
-def _numbers(path: Path, rows: slice, how: dict[str, Any]) -> tuple[Experiments, list[str]]:
+def _numbers(path: Path, how: dict[str, Any]) -> tuple[Experiments, list[str]]:
     """A file by experiment, without columns of words and arrays of other lengths, and what to say of these."""
     remarks: list[str] = []
     words: list[str] = []
     while True:
         try:
-            return _opened(path, rows, how), remarks
+            return _opened(path, how), remarks
         except WordsError as error:
             how["columns"] = [name for name in error.others if name not in words]
             if how["names"] or how["channels"] or not how["columns"] or error.column in (how["time"], how["group"]):
@@ -115,15 +117,15 @@ def _numbers(path: Path, rows: slice, how: dict[str, Any]) -> tuple[Experiments,
             remarks.append(f"of arrays of {usual} samples; there are others: {others} (--channel NAME)")
 
 
-def _opened(path: Path, rows: slice, how: Mapping[str, Any]) -> Experiments:
+def _opened(path: Path, how: Mapping[str, Any]) -> Experiments:
     """A file by experiment, also one in which time starts over, which `read` refuses."""
     time, group = how["time"], how["group"]
     found: list[Record] | Record
     try:
         found = read(path, **how)
         if isinstance(found, list):
-            return Experiments(tuple(_of_rows(record, rows) for record in found), column=group)
-        return sort_rows(_of_rows(found, rows))
+            return Experiments(tuple(found), column=group)
+        return sort_rows(found)
     except RecordError as error:
         if how["fs"] is not None or group is not None:
             raise
@@ -133,15 +135,9 @@ def _opened(path: Path, rows: slice, how: Mapping[str, Any]) -> Experiments:
         if column is None:
             raise
         try:
-            return sort_rows(_of_rows(Record(record.channels, None, record.units, record.name), rows), column)
+            return sort_rows(Record(record.channels, None, record.units, record.name), column)
         except RecordError:
             raise error from None  # which names the row of the file
-
-
-def _of_rows(record: Record, rows: slice) -> Record:
-    if not len(range(record.n)[rows]):
-        raise InputError(f"{record.name}: there are {record.n} rows, none of which is looked at")
-    return record if rows == slice(None) else record.take(rows)
 
 
 def _described(experiments: Experiments, name: str, reading: Reading) -> RecordInfo:
@@ -162,10 +158,15 @@ def _described(experiments: Experiments, name: str, reading: Reading) -> RecordI
     if len(second) == 1 and not guess.inputs:
         unknown = [key for key in guess.undecided if clues[key].order is None]
         guess = guess.driven_by(drivers(short, second[0], unknown), alike)
+    guess = of_first_order(guess, clues, short)
     bad, looked_at = find_bad(records, guess, moving)
     gaps = tuple(gaps_of(records))
     rates = [record for record in records if record.fs is not None]
-    reading = _completed(reading, experiments)
+    checks = _checks(records, guess)
+    reading = _completed(reading, experiments, checks)
+    for finding in checks:
+        if finding.kind == "exchanged":
+            guess = guess.exchanged(*finding.channels)
     made = RecordInfo(
         name=name,
         rows=sum(record.n for record in records),
@@ -186,7 +187,7 @@ def _described(experiments: Experiments, name: str, reading: Reading) -> RecordI
         reading=reading,
     )
     parts = (_on_time, _on_experiments, _on_channels, _on_bad_samples)
-    return replace(made, findings=(*(text for part in parts for text in part(made)), *_checks(records, guess)))
+    return replace(made, findings=(*(text for part in parts for text in part(made)), *(one.message for one in checks)))
 
 
 def _without_copies(experiments: Experiments) -> tuple[Experiments, dict[str, str]]:
@@ -207,9 +208,14 @@ def _without_copies(experiments: Experiments) -> tuple[Experiments, dict[str, st
     return replace(experiments, records=kept), copies
 
 
-def _completed(reading: Reading, experiments: Experiments) -> Reading:
-    """How to read a file again, with what was found out about its time and experiments."""
+def _completed(reading: Reading, experiments: Experiments, checks: Sequence[Finding]) -> Reading:
+    """How to read a file again, with what was found out about its time, experiments, signs and exchanged columns."""
     records = experiments.records
+    units, known = dict(reading.units), records[0].units
+    for finding in checks:
+        if finding.kind == "exchanged":
+            p, q = finding.channels
+            units.update({name: known[other] for name, other in ((p, q), (q, p)) if other in known})
     group = experiments.column if len(records) > 1 else None
     step = records[0].dt if experiments.step is not None else None
     found = experiments.time
@@ -218,6 +224,8 @@ def _completed(reading: Reading, experiments: Experiments) -> Reading:
         time=reading.time or (None if found is None or is_time_name(found) else found),
         fs=reading.fs if step is None else 1.0 / step,
         group=reading.group or group,
+        units=units,
+        reversed=tuple(finding.channels[0] for finding in checks if finding.kind == "sign"),
         clocked=any(record.fs is not None for record in records),
         unnumbered=experiments.restarts and experiments.column is None,
     )
@@ -231,7 +239,7 @@ def _used(link: Link, guess: Guess) -> bool:
     return False
 
 
-def _checks(records: Sequence[Record], guess: Guess) -> list[str]:
+def _checks(records: Sequence[Record], guess: Guess) -> list[Finding]:
     """What channels say of each other, of the longest experiment; clipping is looked for elsewhere."""
     record = max(records, key=lambda one: one.n)
     if record.n > CHECKED:
@@ -239,7 +247,7 @@ def _checks(records: Sequence[Record], guess: Guess) -> list[str]:
         record = record.slice(first, first + CHECKED)
     chains = [chain for chain in guess.chains if len(chain) == 3]
     found = check_record(record, chains, guess.inputs) if chains else []
-    return [finding.message for finding in found if finding.kind != "clipping"]
+    return [finding for finding in found if finding.kind != "clipping"]
 
 
 def proposal_for_all(found: Sequence[RecordInfo]) -> Proposal | None:
@@ -266,9 +274,9 @@ def _on_time(found: RecordInfo) -> list[str]:
     out = []
     column = found.experiments.time
     if column is not None and not found.experiments.restarts:
-        out.append(
-            f"time: no column has its name; {column}, which rises, is taken, in seconds unless its header has a unit"
-        )
+        clock = found.experiments.records[0].clock
+        unit = "seconds unless its header has a unit" if clock == "s" else clock + "s" * (clock[-1] != "s")
+        out.append(f"time: no column has its name; {column}, which rises, is taken, in {unit}")
     if found.experiments.step is not None:
         out.append(f"time: {found.experiments.step} is constant and named as the time step [s]: taken for it")
     if found.experiments.counter is not None:
@@ -328,6 +336,10 @@ def _on_channels(found: RecordInfo) -> list[str]:
             out.append(f"{name} is constant, {channel.least:.6g}: it says nothing of the motion")
         if channel.resolution is not None:
             out.append(f"{name} has few levels, {channel.resolution:.3g} apart: coarse against its range")
+        if not channel.unit and any(file.lower().endswith(".wav") for file in found.reading.files):
+            out.append(
+                f"{name} has no unit: a WAV file holds shares of full scale; give both, as --units {name}=125mm/s"
+            )
         if channel.held is not None:
             out.append(f"{name} changes in every {channel.held:.2g} rows only: it is sampled slower than the file")
     return out

@@ -6,7 +6,7 @@ import re
 import unicodedata
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 
 from bayeq.inspection.links import CLEARLY, Link
@@ -18,6 +18,7 @@ TITLES = {0: "displacement", 1: "velocity", 2: "acceleration", INPUT: "force or 
 
 FORCES = {"N", "kN", "mN", "MN", "daN", "lbf", "kgf", "Nm", "kNm", "mNm"}
 ANGLES = {"rad", "mrad", "deg", "°", "rev", "rpm"}
+DEGREES = {"deg", "°"}
 WARMTH = {"°C", "K", "degC", "°F", "degF"}
 
 # Words of names in English, German, French, Spanish and Italian, in small letters without accents. Quantities say what
@@ -76,6 +77,7 @@ class Clue:
     by_unit: bool  # whether the unit says it, which is surer than a name
     index: str  # what tells it from others of its kind: numbers in its name, or else its other words
     angle: bool  # whether it is an angle, by its unit or name
+    degrees: bool  # whether it is one in degrees
     symbol: bool = False  # whether only a symbol says it, which is less sure than a word
     rank: int = 0  # of an input: 0 measured force, 1 current, 2 command
 
@@ -111,6 +113,13 @@ class Guess:
         undecided = tuple(name for name in self.undecided if name not in inputs)
         return Guess(self.chains, (*self.inputs, *inputs), undecided, reasons, tuple(questions))
 
+    def exchanged(self, p: str, q: str) -> Guess:
+        """The same with two channels of a chain in the place of each other, where it is p that derives from q."""
+        other = {p: q, q: p}
+        chains = tuple(tuple(name and other.get(name, name) for name in chain) for chain in self.chains)
+        reasons = {**self.reasons, q: f"{p} derives from it", p: f"derives from {q}, against their units"}
+        return replace(self, chains=chains, reasons=reasons)
+
     def role_of(self, name: str) -> str:
         """Role of a channel as a word; empty where it is not decided."""
         if name in self.inputs:
@@ -135,8 +144,10 @@ def clue_of(name: str, unit: str) -> Clue:
     by_name, tier, others = _order_of_name(parts)
     digits = "_".join(part for part in parts if part.isdigit())
     index = digits or "_".join(others)
-    angle = unit in ("rad", "deg", "°") or (
-        not unit and any(part in ("th", "theta", "phi", "angle", "winkel") for part in parts)
+    angle = (
+        unit == "rad"
+        or unit in DEGREES
+        or (not unit and any(part in ("th", "theta", "phi", "angle", "winkel") for part in parts))
     )
     by_unit = _order_of_unit(unit)
     order, why = (by_name, "its name") if by_unit is None else (by_unit, f"its unit {unit}")
@@ -149,7 +160,8 @@ def clue_of(name: str, unit: str) -> Clue:
     elif by_name == STATE and order == 0:
         order, why = STATE, "its name"
     sure = by_unit is not None and order == by_unit
-    return Clue(order, why if order is not None else "", sure, index, angle, not sure and tier == 2, rank)
+    why = why if order is not None else ""
+    return Clue(order, why, sure, index, angle, unit in DEGREES, not sure and tier == 2, rank)
 
 
 def _order_of_unit(unit: str) -> int | None:
@@ -246,6 +258,10 @@ def guess_roles(
                     else "nothing else fits it"
                 )
                 reasons[low] = clues[low].why or why
+    if not inputs and chains and all(len(chain) == 3 and chain[0] and chain[2] for chain in chains):
+        inputs = [n for n in of_order[0] if n not in reasons and clues[n].by_unit and all(n not in c for c in chains)]
+        for name in inputs:
+            reasons[name] = f"{clues[name].why}; the others have accelerations and it has none: as a base that moves"
     used = {name for chain in chains for name in chain} | set(inputs)
     ordered = sorted(chains, key=lambda chain: min(names.index(name) for name in chain if name is not None))
     undecided = tuple(name for name in names if name not in used)
@@ -265,9 +281,11 @@ def _agreeing(links: Sequence[Link], clues: Mapping[str, Clue]) -> list[tuple[in
             return 0 if link.usual or below.order != above.order else 2
         # the only one of its kind needs no index
         together = below.index == above.index or 1 in (counts[below.order], counts[above.order])
-        if together and above.order - below.order == link.order:
+        as_said = above.order - below.order == link.order
+        if together and as_said:
             return -1
-        return 2 if (below.by_unit and above.by_unit) or link.gain < 0.0 or not link.usual else 1
+        by_unit = below.by_unit and above.by_unit and not as_said
+        return 2 if by_unit or link.gain < 0.0 or not link.usual else 1
 
     graded = [(contradiction(link), link) for link in links]
     return sorted(((grade, link) for grade, link in graded if grade < 2), key=lambda one: (one[0], one[1].order))

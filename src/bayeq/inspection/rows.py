@@ -71,7 +71,7 @@ class Experiments:
 
 def sort_rows(record: Record, time: str | None = None) -> Experiments:
     """Find the columns of time (or take that of this name) and of experiments, and divide the rows."""
-    counter = step = None
+    counter = step = unit = None
     clock: Floats | None = record.time
     if clock is None:
         counter = next(
@@ -81,7 +81,7 @@ def sort_rows(record: Record, time: str | None = None) -> Experiments:
             rising = [name for name in record.names if name != counter and _rises(record[name])]
             time = min(rising, key=lambda name: _doubt(record, name), default=None)
         if time is not None:
-            clock, _ = in_seconds(record[time], record.units.get(time) or time_unit(time), time)
+            clock, unit = in_seconds(record[time], record.units.get(time) or time_unit(time), time)
         elif (step := next((name for name in record.names if _is_step(record, name)), None)) is not None:
             clock = np.asarray(np.arange(record.n) * float(np.nanmax(record[step])), dtype=np.float64)
     restarts = np.zeros(0, dtype=np.intp) if clock is None else np.flatnonzero(np.diff(clock) <= 0.0) + 1
@@ -94,6 +94,8 @@ def sort_rows(record: Record, time: str | None = None) -> Experiments:
     units = {name: unit for name, unit in record.units.items() if name in channels or name == "t"}
     if clock is None or time is not None:
         units.pop("t", None)
+    if unit not in (None, "s"):
+        units["t"] = unit
     bounds = [0, *starts.tolist(), record.n]
     records = []
     for k, (a, b) in enumerate(pairwise(bounds)):

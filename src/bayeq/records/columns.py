@@ -29,6 +29,9 @@ Names = Sequence[str] | str | None
 #: In a path: each of several arrays, one record for each.
 STAR = "[*]"
 
+# Below at least this many rows one that goes back in time is a summary, and no experiment.
+LEAST_ABOVE = 20
+
 
 def listed(names: Sequence[str] | str) -> list[str]:
     """Names as a list; a single string is split at its commas.
@@ -345,6 +348,14 @@ def assemble(
     if gains:
         data = replace(data, values=[x * gains[i] if i in gains else x for i, x in enumerate(data.values)])
     seconds, kept_units = _time(data, time_column, known_units)
+    if seconds is not None and group is None and _ends_in_a_summary(seconds):
+        message = (
+            f"{_place(data, time_column)}: time goes back in row {n}, the last: it is left out, as a summary of the"
+            " others; take it out of the file if it is one, else check the clock"
+        )
+        warnings.warn(message, DataWarning, stacklevel=3)
+        n, stops, seconds = n - 1, [n - 1], seconds[:-1]
+        data = replace(data, values=[values[:-1] for values in data.values])
     if seconds is not None:
         again = check_time(seconds, _place(data, time_column), np.asarray(starts, dtype=np.intp), repeated=True)
         if again.size:
@@ -391,7 +402,13 @@ def find_time(
         return data.time
     if data.headers.time is not None or data.step is not None or len(data.values) < 2:
         return data.headers.time
-    return next((i for i, x in enumerate(data.values) if units.get(i) in SECONDS and _rises(x)), None)
+    rising = (i for i, x in enumerate(data.values) if units.get(i) in SECONDS and (_rises(x) or _ends_in_a_summary(x)))
+    return next(rising, None)
+
+
+def _ends_in_a_summary(time: Floats) -> bool:
+    """Whether the last row alone goes back in time."""
+    return len(time) > LEAST_ABOVE and bool(time[-1] < time[-2]) and bool((np.diff(time[:-1]) >= 0.0).all())
 
 
 def _rises(values: Floats) -> bool:

@@ -31,6 +31,9 @@ UNIT_GAINS = (
 )
 NEAR = 0.02
 
+# Channels are exchanged where one gain differs from that of the units by more than this, and the other by less [ln].
+EXCHANGED, AS_STATED = math.log(2.0), math.log(1.1)
+
 # Clipping: a run of this many equal samples at an extreme, in a channel whose samples are equal nowhere else; or this
 # many samples at the extreme, and this many times as many as at any of the next levels. A channel of few levels, or
 # one that rests at the extreme for most of the time, is switched and not clipped.
@@ -48,6 +51,11 @@ NEAR_MULTIPLE = 0.1
 LEAST_REPEATS = 3
 LEVELS_PER_STEP = 8.0
 MOST_REPEATED = 0.3
+
+# Straight lines: second differences of this share of the largest, or as many levels as rounding makes of none. Bends
+# between them: at least this many, in fewer than this share of the rows, this many times larger; they lie evenly and
+# differ.
+STRAIGHT, ROUNDED, LEAST_BENDS, MOST_BENT, BENT = 1e-3, 2.01, 20, 0.6, 10.0
 
 # Steps of time [s] from which on they may be milliseconds without a unit, of motion of less rows a period than this.
 LEAST_STEP = 0.5
@@ -70,8 +78,8 @@ class Finding:
     Attributes
     ----------
     kind : str
-        ``"offset"``, ``"drift"``, ``"delay"``, ``"sign"``, ``"gain"``, ``"inconsistent"``, ``"clipping"``,
-        ``"dropped"``, ``"repeated"``, ``"again"`` or ``"clock"``.
+        ``"offset"``, ``"drift"``, ``"delay"``, ``"sign"``, ``"gain"``, ``"exchanged"``, ``"inconsistent"``,
+        ``"clipping"``, ``"dropped"``, ``"repeated"``, ``"interpolated"``, ``"again"`` or ``"clock"``.
     channels : tuple of str
         The channel that is at fault, then those that it was compared with.
     message : str
@@ -134,6 +142,7 @@ def check_record(
         if whole[name] and record.n >= LEAST_ROWS_TO_CHECK:
             clipped = _clipped(name, record[name], shut=name in inputs)
             found += clipped or _repeated(name, record[name], shut=name in inputs)
+            found += () if name in inputs else _interpolated(record, name)
     return found + _again(record, [name for name in dict.fromkeys((*names, *inputs)) if whole[name]])
 
 
@@ -199,6 +208,9 @@ def _kinematics(record: Record, chain: Sequence[str | None]) -> list[Finding]:
         link = relate(record.time, record[p], record[q], high - low, frames)
         if link is None:
             return found
+        found += _exchanged(record, p, q, high - low, link, frames)
+        if found:
+            return found
         if link.fit < RECORDS.least_fit:
             message = (
                 f"{q} moves with {derivative_name(p, high - low)} but is not it: no sign and delay makes them fit"
@@ -212,6 +224,26 @@ def _kinematics(record: Record, chain: Sequence[str | None]) -> list[Finding]:
     for ((low, p), (high, q)), link in zip(pairwise(measured), links, strict=True):
         found += _shifts(record, p, q, high - low, link, frames)
     return found
+
+
+def _exchanged(record: Record, p: str, q: str, order: int, link: Relation, frames: Frames) -> list[Finding]:
+    """Whether p is the derivative of q, in the units of the other each, where q is not that of p."""
+    stated = _stated_gain(record, p, q, order)
+    as_said = link.fit >= RECORDS.least_fit and abs(math.log(link.gain / stated)) < EXCHANGED
+    if record.time is None or as_said or counts_rows(record):
+        return []
+    back = relate(record.time, record[q], record[p], order, frames)
+    if back is None or back.fit < RECORDS.least_fit or back.sign < 0 or abs(math.log(back.gain / stated)) > AS_STATED:
+        return []
+    if back.least_gain * link.most_gain < link.least_gain * back.most_gain:  # the gain is less the same
+        return []
+    units = [f"{name}={record.units[other]}" for name, other in ((p, q), (q, p)) if other in record.units]
+    given = f" and --units {','.join(units)}" if len(units) == 2 else ""
+    message = (
+        f"{p} is {back.gain:.3g} times the {'second ' * (order == 2)}derivative of {q}: are the columns exchanged?"
+        f" If so, use {q} in the place of {p}, {p} in that of {q}{given}"
+    )
+    return [Finding("exchanged", (p, q), message, back.gain)]
 
 
 class _Odd(NamedTuple):
@@ -250,7 +282,12 @@ def _odd_ones(
 def _signs(measured: Sequence[tuple[int, str]], links: Sequence[Relation]) -> list[Finding]:
     signs = np.cumprod([1, *(link.sign for link in links)])
     return [
-        Finding("sign", odd.channels, f"{odd.channels[0]} has the opposite sign of {odd.against}: reverse it", -1.0)
+        Finding(
+            "sign",
+            odd.channels,
+            f"{odd.channels[0]} has the opposite sign of {odd.against}: reverse it (--scale {odd.channels[0]}=-1)",
+            -1.0,
+        )
         for odd in _odd_ones(measured, np.diff(signs).tolist(), [0.0] * len(links), 0.0)
     ]
 
@@ -511,3 +548,36 @@ def _repeated(name: str, values: Floats, shut: bool) -> list[Finding]:
         f" {int(starts[sudden][0]) + 2}: samples were lost and filled; leave these rows out"
     )
     return [Finding("repeated", (name,), message, float(count))]
+
+
+def _interpolated(record: Record, name: str) -> list[Finding]:
+    """A channel that is straight between samples that lie evenly.
+
+    Of a channel of levels second differences are none by chance, in no order; those of a triangle are all the same.
+    """
+    values = record[name]
+    bends = np.diff(values, 2)
+    largest = float(np.abs(bends).max())
+    if np.count_nonzero(np.abs(bends) > largest / BENT) >= MOST_BENT * len(bends) or not largest > 0.0:
+        return []  # most channels
+    if not record.is_uniform():
+        return []
+    straight = max(STRAIGHT * largest, ROUNDED * float(np.diff(np.unique(values)).min()))
+    rows = np.flatnonzero(np.abs(bends) > straight)
+    if not len(rows) < MOST_BENT * len(bends):
+        return []
+    # a bend between two samples shows in both
+    groups = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
+    if len(groups) < LEAST_BENDS or max(map(len, groups)) > 2:
+        return []
+    sizes, places = np.abs([bends[g].sum() for g in groups]), np.array([g.mean() for g in groups])
+    if float(np.median(sizes)) < BENT * straight or float(np.std(sizes)) < 0.1 * float(sizes.mean()):
+        return []
+    numbers = np.append(0.0, np.cumsum(np.round(np.diff(places) / np.median(np.diff(places)))))
+    every, first = np.polyfit(numbers, places, 1)
+    if float(np.abs(places - first - every * numbers).max()) > 1.0:
+        return []
+    rate = "" if record.fs is None else f" from {record.fs / every:.4g} Hz"
+    what = f"{name} is straight over every {every:.3g} samples"
+    message = f"{what}: it was interpolated{rate}; give the samples as measured"
+    return [Finding("interpolated", (name,), message, float(every))]

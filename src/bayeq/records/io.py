@@ -95,19 +95,19 @@ def unchanged(path: Path) -> Iterator[None]:
 def read(
     path: str | os.PathLike[str], *, time: str | None = None, fs: float | None = None, names: Names = None,
     units: Mapping[str, str] | None = None, group: None = None, columns: Names = None, channels: None = None,
-    skip: int = 0, sheet: str | None = None,
+    skip: int = 0, sheet: str | None = None, rows: slice | None = None,
 ) -> Record: ...  # fmt: skip
 @overload
 def read(
     path: str | os.PathLike[str], *, time: str | None = None, fs: float | None = None, names: Names = None,
     units: Mapping[str, str] | None = None, group: str, columns: Names = None,
-    channels: Mapping[str, str] | None = None, skip: int = 0, sheet: str | None = None,
+    channels: Mapping[str, str] | None = None, skip: int = 0, sheet: str | None = None, rows: slice | None = None,
 ) -> list[Record]: ...  # fmt: skip
 @overload
 def read(
     path: str | os.PathLike[str], *, time: str | None = None, fs: float | None = None, names: Names = None,
     units: Mapping[str, str] | None = None, group: str | None = None, columns: Names = None,
-    channels: Mapping[str, str] | None = None, skip: int = 0, sheet: str | None = None,
+    channels: Mapping[str, str] | None = None, skip: int = 0, sheet: str | None = None, rows: slice | None = None,
 ) -> Record | list[Record]: ...  # fmt: skip
 def read(
     path: str | os.PathLike[str],
@@ -121,6 +121,7 @@ def read(
     channels: Mapping[str, str] | None = None,
     skip: int = 0,
     sheet: str | None = None,
+    rows: slice | None = None,
 ) -> Record | list[Record]:
     """Read measured channels from a file.
 
@@ -158,6 +159,8 @@ def read(
     sheet : str, optional
         The sheet of an Excel file, by default the one with most rows of numbers; ``"book.xlsx[Run 1]"`` as the path
         names it too.
+    rows : slice, optional
+        Rows of each record that are kept, by default all. Of text without `group` a fault below them is no error.
 
     Returns
     -------
@@ -204,7 +207,7 @@ def read(
     request = Request(columns, dict(channels or {}), time, group, fs)
     try:
         with unchanged(path):
-            pieces = _pieces(path, request, names, skip, sheet)
+            pieces = _pieces(path, request, names, skip, sheet, None if group is not None else rows)
     except (OSError, UnicodeError) as error:
         reason = getattr(error, "strerror", None) or type(error).__name__
         raise FileFormatError(f"{path}: cannot be read ({reason})") from None
@@ -213,10 +216,22 @@ def read(
     for k, (part, data) in enumerate(pieces):
         label = f"{path.name} [{k}]" if starred else path.name if sheet is None else f"{path.name}[{sheet}]"
         records.extend(Record(*trial) for trial in assemble(part.renamed(data), part, units, label))
+    if rows is not None:
+        records = [rows_of(record, rows) for record in records]
     return records if starred or group is not None else records[0]
 
 
-def _pieces(path: Path, request: Request, names: Names, skip: int, sheet: str | None) -> list[tuple[Request, Columns]]:
+def rows_of(record: Record, rows: slice) -> Record:
+    """Some rows of a record; an InputError where there are none."""
+    if not len(range(record.n)[rows]):
+        first, last = ("" if end is None else end for end in (rows.start, rows.stop))
+        raise InputError(f"{record.name}: --rows {first}:{last} leaves none of {record.n} rows")
+    return record.take(rows)
+
+
+def _pieces(
+    path: Path, request: Request, names: Names, skip: int, sheet: str | None, rows: slice | None
+) -> list[tuple[Request, Columns]]:
     """The columns that are asked for; of each array where a path has ``[*]``."""
     if path.is_dir():
         raise FileFormatError(f"{path}: is a directory; name a file in it")
@@ -235,6 +250,8 @@ def _pieces(path: Path, request: Request, names: Names, skip: int, sheet: str | 
     if row.flat is None:
         raise InputError(f"{path}: {row.title} cannot be read")
     options: dict[str, Any] = ({"skip": skip} if skip else {}) | ({"sheet": sheet} if sheet is not None else {})
+    if row.flat in (text, gz) and rows is not None and rows.stop is not None and rows.stop >= 0:
+        options["enough"] = rows.stop
     return [(request, row.flat.read_columns(path, names=names, chosen=request.rows, **options))]
 
 

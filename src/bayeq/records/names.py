@@ -36,6 +36,7 @@ _TIME_NAME = re.compile(
     rf"(?:(?:elapsed|relative|rel|absolute|abs|total|test|run|running|sample|date)_)?(?:{'|'.join(_TIME_WORDS)})"
     r"(?:_?stamp)?(?:_(?P<unit>s|sec|ms|msec|us|µs|μs|ns|min|h))?"
 )
+_YEARS = {"year", "years", "yr", "yrs", "jahr", "jahre", "annee", "année", "années", "anno", "anni", "año", "años"}
 _UNIT = re.compile(r"^(?P<name>.*?)\s*(?:\[(?P<square>[^\[\]]*)\]|\((?P<round>[^()\[\]]*)\))$", re.DOTALL)
 
 
@@ -129,11 +130,25 @@ def time_unit(name: str) -> str | None:
 
     Examples
     --------
-    >>> time_unit("time_ms"), time_unit("Zeit"), time_unit("x_ms")
-    ('ms', None, None)
+    >>> time_unit("time_ms"), time_unit("Zeit"), time_unit("x_ms"), time_unit("Year")
+    ('ms', None, None, 'year')
     """
     match = _TIME_NAME.fullmatch(name.casefold())
-    return match["unit"] if match else None
+    return match["unit"] if match else "year" if name.casefold() in _YEARS else None
+
+
+def rate_and_length(rate: str, length: str, clock: str) -> tuple[str, str]:
+    """A rate and a length of time as text, by the unit of time.
+
+    Examples
+    --------
+    >>> rate_and_length("200", "4", "s"), rate_and_length("1", "81", "year")
+    (('200 Hz', '4 s'), ('1 per year', '81 years'))
+    """
+    if clock == "s":
+        return f"{rate} Hz", f"{length} s"
+    one = "year" if clock.casefold() in _YEARS else clock
+    return f"{rate} per {one}", f"{length} {'years' if one == 'year' else one}"
 
 
 # Exponents of symbols, in the order in which they occur.

@@ -22,6 +22,7 @@ from bayeq.records.validate import (
     even_step,
     time_from,
     trial_starts,
+    usual_step,
 )
 
 if TYPE_CHECKING:
@@ -307,17 +308,29 @@ class Record:
     def dt(self) -> float | None:
         """Median time step [s], or None without time.
 
-        Of an even grid it is the mean step, which rounding of the times touches less.
+        Of an even grid, and of times that were rounded, it is that of a line through them, which rounding touches less.
         """
         if self.time is None or self.n < 2:
             return None
-        return even_step(self.time) or float(np.median(np.diff(self.time)))
+        return even_step(self.time) or usual_step(self.time)
 
     @property
     def fs(self) -> float | None:
         """Sampling rate ``1/dt`` [Hz], or None without time."""
         dt = self.dt
         return None if dt is None else 1.0 / dt
+
+    @property
+    def duration(self) -> float:
+        """How long it lasts [s]: rows over the rate, or at uneven steps from the first to the last; 0 without time."""
+        if self.time is None or self.fs is None:
+            return 0.0
+        return self.n / self.fs if self.is_uniform() else float(self.time[-1] - self.time[0])
+
+    @property
+    def clock(self) -> str:
+        """Unit of time: "s", or the stated one where it is no number of seconds, as "year"."""
+        return "s" if "t" in self.channels else self.units.get("t", "s")
 
     def is_uniform(self) -> bool:
         """Whether all time steps are the same to a thousandth; False without time."""

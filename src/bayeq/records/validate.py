@@ -115,6 +115,30 @@ def even_step(*times: Floats) -> float | None:
     return step if all(is_step(time, step).all() for time in times) else None
 
 
+# Steps are alike if they differ from the median by less than this share; if of this number of them there are no more
+# values than this, times were rounded.
+ALIKE, LOOKED_AT, LEVELS = 0.2, 1000, 3
+
+
+def usual_step(time: Floats) -> float:
+    """The median step of uneven sampling; of times that were rounded the one of the line through them.
+
+    Examples
+    --------
+    >>> round(1 / usual_step(np.round(np.delete(np.arange(300), range(90, 99)) / 30, 3)), 4)
+    30.0
+    """
+    steps = np.diff(time)
+    median = float(np.median(steps))
+    alike = steps[np.abs(steps - median) < ALIKE * median]
+    levels = np.unique(np.round(alike[:LOOKED_AT] / (median or 1.0), 6))
+    rounded = 1 < len(levels) <= LEVELS and len(alike) > len(steps) // 2
+    if not rounded:
+        return median
+    counts = np.append(0.0, np.cumsum(np.round(steps / alike.mean())))
+    return float(np.polyfit(counts, time, 1)[0])
+
+
 #: How many seconds a unit of time is.
 SECONDS: Mapping[str, float] = {
     "s": 1.0, "sec": 1.0, "secs": 1.0, "second": 1.0, "seconds": 1.0,

@@ -493,8 +493,9 @@ def _sampling(eq: Answer) -> str:
         return "counted in samples"
     if eq.data.rows_as_time:
         return "time not known, rows counted"
-    seconds = "" if eq.data.seconds is None else f", {eq.data.seconds:.4g} s in all"
-    return "" if eq.data.fs is None else f"{eq.data.fs:.6g} Hz{seconds}"
+    if eq.data.sampling is None:
+        return "" if eq.data.fs is None else f"{eq.data.fs:.6g} Hz"
+    return "{}, {} in all".format(*eq.data.sampling)
 
 
 def _library() -> str:

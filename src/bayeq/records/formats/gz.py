@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import math
 import shutil
 import tempfile
 from pathlib import Path
@@ -17,7 +18,9 @@ from bayeq.records.record import Record
 _BYTES_AT_ONCE = 2**20
 
 
-def read_columns(path: Path, *, names: Names = None, chosen: Select | None = None, skip: int = 0) -> Columns:
+def read_columns(
+    path: Path, *, names: Names = None, chosen: Select | None = None, skip: int = 0, enough: float = math.inf
+) -> Columns:
     """Unpack into a temporary file, as far as the limits allow, and read that as text, below `skip` lines."""
     where = str(path)
     with tempfile.TemporaryDirectory() as folder:
@@ -29,7 +32,7 @@ def read_columns(path: Path, *, names: Names = None, chosen: Select | None = Non
                 check_claim(where, "the text", written, stored)
                 out.write(block)
         try:
-            return text.read_columns(plain, names=names, chosen=chosen, where=where, skip=skip)
+            return text.read_columns(plain, names=names, chosen=chosen, where=where, skip=skip, enough=enough)
         except FileFormatError as error:
             if not looks_like_text(plain):
                 raise FileFormatError(f"{where}: what it holds is not text; unpack it first") from error

@@ -42,20 +42,30 @@ from bayeq.records.record import Record
 _FORTRAN = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+))[dD]([+-]?\d+)")
 _ROWS_AT_ONCE = 20_000
 
+# A foot, a summary or a row that was cut, stands below at least this many rows, and has at most this many lines.
+_ROWS_ABOVE, _FOOT = 20, 16
+
 # Text that stands for a missing sample, in the cases that pyarrow would not know.
 ABSENT = sorted({text for word in MISSING for text in (word, word.upper(), word.capitalize())} | {"NaN"})
 
 
 def read_columns(
-    path: Path, *, names: Names = None, chosen: Select | None = None, where: str = "", skip: int = 0
+    path: Path,
+    *,
+    names: Names = None,
+    chosen: Select | None = None,
+    where: str = "",
+    skip: int = 0,
+    enough: float = math.inf,
 ) -> Columns:
     """Read the columns of a text file, which messages call `where`, below `skip` lines.
 
     Comment lines begin with ``#`` or ``%``; the one directly before the data names the columns if there is
-    no other header and the number of its words fits. Empty cells, NA and nan become NaN.
+    no other header and the number of its words fits. Empty cells, NA and nan become NaN. Of a file with a fault the
+    rows above it are read where they are `enough`.
     """
     where = where or str(path)
-    return decoded(path, where, lambda encoding: _read(path, where, encoding, names, chosen, skip))
+    return decoded(path, where, lambda encoding: _read(path, where, encoding, names, chosen, skip, enough))
 
 
 def _named(layout: Layout, where: str) -> tuple[Headers, Sequence[Sequence[str]]]:
@@ -65,11 +75,14 @@ def _named(layout: Layout, where: str) -> tuple[Headers, Sequence[Sequence[str]]
     return Headers.parse(texts or [""] * layout.width, where), readings
 
 
-def _read(path: Path, where: str, encoding: str, names: Names, chosen: Select | None, skip: int) -> Columns:
+def _read(
+    path: Path, where: str, encoding: str, names: Names, chosen: Select | None, skip: int, enough: float
+) -> Columns:
     layout = sniff(path, encoding, where, skip)
     headers, readings = _named(layout, where)
     unnamed = not any(headers.texts)
     given = None if names is None else names.replace(",", " ").split() if isinstance(names, str) else names
+    doubts: tuple[str, ...] = ()
     try:
         data = np.loadtxt(
             str(path), delimiter=layout.delimiter, comments=None, skiprows=layout.skip, encoding=encoding, ndmin=2
@@ -83,7 +96,8 @@ def _read(path: Path, where: str, encoding: str, names: Names, chosen: Select | 
             named = headers if given is None else headers.renamed([*given, *[""] * (layout.width - len(given))])
             skipped = set(range(layout.width)) - set(chosen(named))
         lines = _Lines(path, layout, headers, skipped)
-        data = lines.read()
+        data = lines.read(enough)
+        doubts = lines.doubts
         if lines.trailing and not headers.texts[-1] and layout.width > 1 and len(given or ()) != layout.width:
             data = data[:, :-1]
             headers = Headers.parse(headers.texts[:-1], where)
@@ -95,7 +109,7 @@ def _read(path: Path, where: str, encoding: str, names: Names, chosen: Select | 
         headers = replace(headers, units=["s" if i in layout.stamps else headers.units[i] for i in kept])
     columns = np.ascontiguousarray(data.T)
     found = Columns.build(headers.renamed(given), columns.__getitem__, chosen)
-    return replace(found, step=layout.step)
+    return replace(found, step=layout.step, doubts=(*found.doubts, *doubts))
 
 
 def _is_trial_and_time(data: Floats) -> bool:
@@ -113,31 +127,27 @@ class _Lines:
         self.where = headers.where
         self.trailing = True  # whether the last cell of every row is empty
         self.start = 0  # line of the first row
+        self.doubts: tuple[str, ...] = ()  # what to warn of
         self.first: dict[int, Stamp] = {}  # the first time stamp of each column that has them
         self.day_first = {column: self._day_first(column) for column in layout.stamps if column not in skipped}
 
-    def read(self) -> Floats:
-        layout, mark = self.layout, self.layout.delimiter
+    def read(self, enough: float = math.inf) -> Floats:
+        """The rows: all of them, or those above the first fault, if they are `enough` or only a foot follows."""
+        layout = self.layout
         values = array("d")
         rows = last = 0
         with self.path.open(encoding=layout.encoding) as file:
             for number, line in enumerate(file, 1):
                 if number <= layout.skip or is_blank(line) or is_comment(line):
                     continue
-                plain = mark is not None and '"' not in line
-                cells = line.rstrip("\n").split(mark) if plain else split(line, mark)  # float() strips
-                if len(cells) != layout.width:
-                    cells = fitted(cells, layout.width) or self._fit(cells, number)
-                rows += 1
                 self.start = self.start or number
-                for column in layout.stamps:
-                    cells[column] = self._seconds(cells[column], number, column)
                 try:
-                    if "_" in line:  # float() allows 1_000
-                        raise ValueError
-                    row = [*map(float, cells)]
-                except ValueError:
-                    row = [self._cell(cell.strip(), number, column) for column, cell in enumerate(cells)]
+                    cells, row = self._row(line, number)
+                except FileFormatError:
+                    if rows >= enough or (rows >= _ROWS_ABOVE and self._is_foot([line, *islice(file, _FOOT)], number)):
+                        break
+                    raise
+                rows += 1
                 values.extend(row)
                 if cells[-1].strip():
                     self.trailing = False
@@ -147,6 +157,38 @@ class _Lines:
         data = np.frombuffer(values, dtype=np.float64).reshape(-1, layout.width)
         # Rows of empty cells at the end are what spreadsheets leave behind; within the data they are gaps.
         return data[:last] if last else data
+
+    def _row(self, line: str, number: int) -> tuple[list[str], list[float]]:
+        """Cells of a line, and their numbers."""
+        layout, mark = self.layout, self.layout.delimiter
+        plain = mark is not None and '"' not in line
+        cells = line.rstrip("\n").split(mark) if plain else split(line, mark)  # float() strips
+        if len(cells) != layout.width:
+            cells = fitted(cells, layout.width) or self._fit(cells, number)
+        for column in layout.stamps:
+            cells[column] = self._seconds(cells[column], number, column)
+        try:
+            if "_" in line:  # float() allows 1_000
+                raise ValueError
+            return cells, [*map(float, cells)]
+        except ValueError:
+            return cells, [self._cell(cell.strip(), number, column) for column, cell in enumerate(cells)]
+
+    def _is_foot(self, lines: Sequence[str], number: int) -> bool:
+        """Whether the rest of a file is a summary, lines that begin with a word, or a last line that is cut short."""
+        width, mark = self.layout.width, self.layout.delimiter
+        rest = [split(line, mark) for line in lines if not is_blank(line)]
+        is_word = [bool(re.match(r"[^\W\d_]", cells[0])) and cells[0].lower() not in MISSING for cells in rest]
+        cut = not is_word[-1] and len(rest[-1]) < width
+        if len(lines) > _FOOT or not all(is_word[:-1]) or not (is_word[-1] or cut):
+            return False
+        if is_word[0]:
+            begin = "the line begins" if len(rest) == 1 else f"{len(rest)} lines begin"
+            what, remedy = f"{begin} with words ({rest[0][0][:20]!r})", "take the summary out of the file"
+        else:
+            what, remedy = f"{len(rest[0])} of {width} values, as where a file was cut off", "check its end"
+        self.doubts = (f"{self.where}, line {number}: {what}: left out; {remedy}",)
+        return True
 
     def _day_first(self, column: int) -> bool:
         """Whether dates such as 03/04/2024 begin with the day: they then rise, over a shorter time than otherwise."""
@@ -186,7 +228,9 @@ class _Lines:
         width, found = self.layout.width, len(cells)
         if found == width - 1 and not self.headers.texts[-1] and self.layout.header is not None:
             return [*cells, ""]
-        hint = "; if the comma is the decimal mark, write points" if found == 2 * width else ""
+        hint = "; complete the line or take it out, or read the rows above it (--rows)"
+        if found > width:
+            hint = "; if the comma is the decimal mark, write points" if found == 2 * width else ""
         values = f"{found} value{'s' * (found != 1)}"
         raise FileFormatError(f"{self.where}, line {number}: {values} where {width} are expected{hint}")
 
@@ -213,7 +257,7 @@ class _Lines:
             hint = "; write the decimal mark as a point, without marks for thousands"
         elif number == self.layout.skip + 1 and self.layout.header is None:
             hint = "; if the line is a header, no name in it may be a number"
-        elif self.skipped:
+        elif self.skipped or number > self.start + _ROWS_ABOVE:
             hint = "; correct it, or leave out the row"
         elif self.layout.header is not None:
             hint = "; if the column is not needed, name the columns to read"

@@ -1,0 +1,102 @@
+"""Channels that are states of first order for their unit, name or course, where no motion is known among them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from bayeq.arrays import Floats
+from bayeq.errors import some_of
+from bayeq.inspection.roles import INPUT, Clue, Guess, clue_of
+from bayeq.records import Record
+
+# Speeds of rotation; electrical quantities, pressures and shares, of which no inertia is known. Symbols of these as
+# names without a unit, of which v, a or x are none.
+ROTATION = {"rpm", "1/min", "U/min", "min^-1"}
+UNITS = ROTATION | {"V", "mV", "kV", "uV", "µV", "A", "mA", "kA", "bar", "mbar", "%"}
+CURRENTS = {"A", "mA", "kA"}
+SYMBOLS = re.compile(r"([VUIT](_.*)?|[uin])(_?\d+)?")
+
+# A channel only decays where means over this many stretches fall, but for a share of the first one, to this share of it
+# or less, and leave less of its variance than this.
+STRETCHES, UNEVEN, DECAYED, LEFT = 16, 0.02, 0.8, 0.02
+
+
+def of_first_order(guess: Guess, clues: Mapping[str, Clue], record: Record) -> Guess:
+    """The same with states of first order where there are no coordinates, or a speed alone that needs none."""
+    units, reasons, questions = record.units, dict(guess.reasons), list(guess.questions)
+    speed = next((chain[1] for chain in guess.chains if chain[::2] == (None, None)), None)
+    by_force = any(clues[name].by_unit for name in guess.inputs)
+    if (guess.chains or by_force) if speed is None else len(guess.chains) > 1:
+        return guess
+    bare = _without_prefix([*guess.undecided, *guess.inputs])
+    alike = [
+        name
+        for name in bare
+        if (units[name] in UNITS if name in units else SYMBOLS.fullmatch(bare[name]) or SYMBOLS.fullmatch(name))
+        and (name not in reasons or name in guess.inputs or (speed is None and clues[name].order == INPUT))
+    ]
+    if speed is not None and not guess.inputs and only_decays(record[speed]):
+        reasons[speed] = f"{clues[speed].why}; it only decays and no force is known: its rate is what is sought"
+    elif speed is not None and units.get(speed) in ROTATION:
+        reasons[speed] = f"{clues[speed].why}, a speed of rotation, whose rate is sought"
+    elif speed is not None or not alike:
+        return guess
+    applied = [n for n in alike if n in guess.inputs or clue_of(bare[n], units.get(n, "")).order == INPUT]
+    if speed is None and applied == alike:  # a current follows a voltage
+        applied.remove(next((name for name in applied if units.get(name) in CURRENTS), applied[-1]))
+    states = [name for name in alike if name not in applied]
+    inputs = [*(name for name in guess.inputs if name not in (*states, *applied)), *applied]
+    for name in alike:
+        reasons[name] = f"its unit {units[name]}" if name in units else "its name"
+    chains = [*([speed] if speed is not None else []), *states]
+    questions += _questions(chains, applied, [name for name in alike if name not in units])
+    return replace(
+        guess,
+        chains=tuple((name,) for name in chains),
+        inputs=tuple(inputs),
+        undecided=tuple(name for name in guess.undecided if name not in alike),
+        reasons=reasons,
+        questions=tuple(questions),
+    )
+
+
+def _questions(states: Sequence[str], applied: Sequence[str], unknown: Sequence[str]) -> list[str]:
+    """What else channels may be."""
+    if len(states) + len(applied) < 2:
+        return [f"{states[0]} is taken as of first order; if it is a motion: --disp, --vel or --acc {states[0]}"]
+    out = [f"{some_of(unknown, 30)}: no unit is known; which are in V, A or rpm?"] if len(unknown) > 1 else []
+    other = [f"--chain {name}" for name in applied] + [f"--input {name}" for name in states]
+    if applied:
+        out.append(f"what is applied is an input, what follows a state; the other way round: {' '.join(other)}")
+    return out
+
+
+def _without_prefix(names: Sequence[str]) -> dict[str, str]:
+    """Names without what stands before the last underscore in all: u and i of meas_u and meas_i."""
+    shared = len(names) > 1 and len({name.rpartition("_")[0] for name in names}) == 1
+    return {name: name.rpartition("_")[2] if shared else name for name in names}
+
+
+def only_decays(values: Floats) -> bool:
+    """Whether a channel falls to zero, or part of the way, without turning back.
+
+    Examples
+    --------
+    >>> t = np.linspace(0.0, 3.0, 200)
+    >>> only_decays(np.exp(-t)), only_decays(-np.exp(-t)), only_decays(np.exp(-t) * np.cos(9.0 * t))
+    (True, True, False)
+    """
+    if len(values) < 4 * STRETCHES or not np.isfinite(values).all():
+        return False
+    values = values / (float(np.abs(values).max()) or 1.0)
+    parts = np.array_split(np.arange(len(values)), STRETCHES)
+    means = np.array([values[part].mean() for part in parts])
+    size = abs(float(means[0]))
+    falls = np.diff(means) * np.sign(means[0]) <= UNEVEN * size
+    rest = values - np.interp(np.arange(len(values)), [part.mean() for part in parts], means)
+    smooth = float(rest.var()) <= LEFT * float(values.var())
+    return bool(falls.all()) and abs(float(means[-1])) <= DECAYED * size and smooth
