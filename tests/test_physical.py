@@ -357,7 +357,7 @@ def quarter_car(tyre="w-s", **more):
     A = np.zeros((4, 4))
     A[:2, 2:], A[2:, 0::2], A[2:, 1::2] = np.eye(2), [[-4950.0, -27.5], [62.07, 3.79]], [[450.0, 27.5], [-62.07, -3.79]]
     values = np.linalg.eigvals(A)
-    return laws, sorted(((abs(one) / math.tau, -one.real / abs(one)) for one in values if one.imag > 0.0))
+    return laws, sorted((abs(one) / math.tau, -one.real / abs(one)) for one in values if one.imag > 0.0)
 
 
 @pytest.mark.parametrize("tyre", ["w-s", "w-s**2", "(2*w-s)/2", "sin(w)"])
