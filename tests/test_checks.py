@@ -328,7 +328,7 @@ def test_samples_that_repeat_the_last_one():
     (finding,) = bq.check_record(record.with_channels({"v": values}), CHAIN, ["u"])
     assert (finding.kind, finding.channels) == ("repeated", ("v",))
     assert 5 <= finding.value <= 20
-    first = int(finding.message.split("the first in row ")[1].split(":")[0])
+    first = int(finding.message.split("first in row ")[1].split(":")[0])
     assert first - 1 in rows
     assert values[first - 1] == values[first - 2]
 

@@ -332,7 +332,7 @@ def _warn_of_groups(equation: Equation, left_out: Set[str], written: Set[str], l
     for members, some in posterior.average.credible_groups():
         if some <= 0.5 or written & {posterior.names[j] for j in members}:
             continue  # more likely than not that none of them is in; or said already
-        listed = some_of([f"{posterior.names[j]} (PIP {posterior.pip[j]:.2f})" for j in members], 20)
+        listed = some_of([f"{posterior.names[j]} (PIP {posterior.pip[j]:.2f})" for j in members], 30)
         shown = [posterior.names[j] for j in members if equation.shown_posterior.support[j]]
         beside = [posterior.names[j] for j in members if posterior.names[j] in left_out]
         none = f"none, for {', '.join(beside)} is left out" if beside else "none"

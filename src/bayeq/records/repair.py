@@ -67,7 +67,7 @@ def split_at_gaps(records: Sequence[Record], channels: Sequence[str]) -> tuple[l
         steps = np.diff(record.time)
         missing = float(np.sum(steps[np.array(ends) - 1]) / np.median(steps)) - len(ends)
         if left_out > missing:
-            messages.append(f"{gaps} bridged, pieces are too short; measure without gaps")
+            messages.append(f"{gaps} bridged; measure without gaps")
             out.append(record)
             continue
         rest = f"; {left_out} rows unused" if left_out else ""
