@@ -36,7 +36,7 @@ class Table(dict[str, Row]):
                 self[point.name] = member
             except (Exception, SystemExit) as error:  # noqa: BLE001 - a package may raise anything
                 package = point.dist.name if point.dist else point.module
-                why = shorten(f"{type(error).__name__}: {error}", 40, placeholder=" ...")
+                why = shorten(f"{type(error).__name__}: {error}", 60, placeholder=" ...")
                 warnings.warn(
                     f"{package}: {point.name!r} of {self._group} is left out: {why}; check that package",
                     BayeqWarning,
