@@ -97,3 +97,35 @@ def test_terms_in_doubt_have_probabilities(tmp_path, capsys):
     assert header[-1] == "PIP"
     (damping,) = (row for row in rows if row[:1] == ["v"] and len(row) > 5)
     assert 0.5 < float(damping[-1]) < 0.99
+
+
+def test_intervals_of_several_equations(tmp_path, capsys):
+    path = tmp_path / "flow.csv"
+    bq.write(bq.simulate("vanderpol", n=600, seed=1), path)
+    out = printed(capsys, "discover", path, "--chain", "x", "--chain", "y", "--dictionary", "x, y, x**2*y, x**3")
+    lines = out.splitlines()
+    assert max(map(len, lines)) <= 100
+    for name in ("x", "y", "x**2*y"):
+        assert any(line.split()[:1] == [name] and " .. " in line for line in lines)
+
+
+def test_of_a_target_that_nobody_measured_the_runs_are_printed(tmp_path, capsys):
+    path = tmp_path / "duffing.csv"
+    bq.write(bq.simulate("duffing", n=600, seed=1), path)
+    asked = ["discover", path, "--disp", "x", "--force", "u", "--dictionary", "x, dx, x**3, u"]
+    out = printed(capsys, *asked)
+    assert "ddx within" not in out
+    assert re.search(r"that were not used: free run within x [\d.]+ %", out)
+    assert "held-out rows (" in printed(capsys, *asked, "--verbose")
+
+
+@pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
+def test_rows_at_rest_are_said_to_test_little(tmp_path, capsys):
+    t = np.arange(600) / 10
+    rng, path = np.random.default_rng(0), tmp_path / "down.csv"
+    bq.write(bq.Record.from_arrays(s=3000.0 * np.exp(-0.2 * t) + rng.normal(size=600), time=t), path)
+    out = printed(capsys, "discover", path, "--chain", "s", "--dictionary", "s, s**2", "--save", tmp_path / "eq.json")
+    said = " ".join(out.split())
+    assert "rows that were not used: s hardly moves there, which tests little" in said
+    assert "%" not in said.partition("checked on")[2]
+    assert bq.load(tmp_path / "eq.json").scores.still == ("s",)

@@ -60,7 +60,7 @@ def book(tmp_path, frame):
 
 def test_the_sheet_with_most_rows_of_numbers_is_read(book):
     with pytest.warns(
-        DataWarning, match=r"sheet 'Run 2' is read.*\(400\), not 'Notes', 'Run 1'; name a sheet.*--sheet"
+        DataWarning, match=r"sheet 'Run 2' is read, of 400 rows, not 'Notes', 'Run 1'; give another: --sheet"
     ):
         assert bq.read(book).n == 400
 

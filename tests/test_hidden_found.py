@@ -68,6 +68,22 @@ def test_a_law_is_found_with_the_equation_that_its_state_is_in():
     assert hidden.log_odds_without < -100.0
 
 
+def test_what_is_printed_of_it(tmp_path, capsys):
+    answer().save(tmp_path / "eq.json")
+    assert main(["show", str(tmp_path / "eq.json")]) == 0
+    out = capsys.readouterr().out
+    assert max(map(len, out.splitlines())) <= 100
+    (frequency,) = (line for line in out.splitlines() if line.split()[:1] == ["f_n"])
+    assert frequency.endswith("natural frequency without r")  # which adds to the stiffness
+    assert "also in the equation: r (" in out
+    law = out.partition("dr = ")[2]
+    for name in TRUE["dr"]:  # each with its interval
+        assert any(line.split()[:1] == [name] and " .. " in line for line in law.splitlines())
+    told = answer().to_dict()
+    assert told["modes"] == []
+    assert {one["name"]: one["meaning"] for one in told["parameters"]}["zeta"] == "damping ratio without r"
+
+
 def test_another_scale():
     eq = found(oscillator(1, rows=400), constraints="a: r ~ -1 +- 1e-6")
     assert set(eq["dr"].included) == set(TRUE["dr"])

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import ast
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cache
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 import bayeq as bq
 from bayeq.errors import BayeqWarning, TermWarning
 from bayeq.inspection.info import info
+from tests.layers import SOURCE, modules
 
 LONGEST = 120
 
@@ -120,3 +122,59 @@ def test_sines_of_degrees_are_of_radians() -> None:
     assert [str(one).endswith(said) for one in warned if isinstance(one, TermWarning)].count(True) == 1
     assert "sin(pi*x/180)" in eq.table().term.tolist()
     assert any("exp(x): its argument has the unit deg:" in one for one in eq.warnings)
+
+
+# Characters of a name, a number and what a call makes of them, in a message.
+NAME, NUMBER, MADE = 12, 6, 10
+
+
+def _width(node: ast.expr, known: Mapping[str, ast.expr]) -> int:
+    """About how long a text may be, of names of 12 characters."""
+    match node:
+        case ast.Constant(value):
+            return len(str(value))
+        case ast.JoinedStr(parts):
+            return sum(_width(part, known) for part in parts)
+        case ast.FormattedValue(value, _, format_spec):
+            return _width(value, known) if format_spec is None else NUMBER
+        case ast.BinOp(left, ast.Add(), right):
+            return _width(left, known) + _width(right, known)
+        case ast.IfExp(_, body, orelse):
+            return max(_width(body, known), _width(orelse, known))
+        case ast.Call(ast.Name("some_of"), [_, ast.Constant(int(width)), *_]):
+            return width
+        case ast.Call(ast.Name("len" | "int")) | ast.BinOp():
+            return NUMBER
+        case ast.Call():
+            return MADE
+        case ast.Name(name) if name in known:
+            return _width(known[name], {other: one for other, one in known.items() if other != name})
+    return NAME
+
+
+def _given() -> list[tuple[str, int]]:
+    """Where warnings and findings are given, and about how long they may be."""
+    out = []
+    for path in modules():
+        source = path.read_text(encoding="utf-8")
+        if not any(mark in source for mark in (".warn(", "Finding(")):
+            continue
+        tree = ast.parse(source)
+        scopes = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
+        for scope in scopes:
+            known: dict[str, ast.expr] = {}
+            for node in ast.walk(scope):
+                if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
+                    known[node.targets[0].id] = node.value
+                called = getattr(node, "func", None)
+                name = getattr(called, "attr", getattr(called, "id", ""))
+                if isinstance(node, ast.Call) and len(node.args) > 1 and name in ("warn", "Finding"):
+                    message = node.args[0 if name == "warn" else 2]
+                    out.append((f"{path.relative_to(SOURCE)}:{node.lineno}", _width(message, known)))
+    return out
+
+
+def test_no_warning_can_be_longer() -> None:
+    found = _given()
+    assert len(found) > 50
+    assert [(where, width) for where, width in found if width > LONGEST] == []

@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import bayeq as bq
-from bayeq.equation.physical import physical_parameters
+from bayeq.equation.brief import brief
+from bayeq.equation.physical import physical_parameters, system_parameters
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.expressions import parse
 from bayeq.forecast.dynamics import Law
@@ -343,3 +344,63 @@ def test_a_stage_without_stiffness_and_a_time_constant():
     heated = bq.discover(record, chains="T", inputs=["P"], dictionary="polynomial:2").physical()
     assert abs(heated["tau[T]"].mean - 40.0) < 4.0 * heated["tau[T]"].sd
     assert abs(heated["gain[T, P]"].mean - 12.0) < 4.0 * heated["gain[T, P]"].sd
+
+
+def quarter_car(tyre="w-s", **more):
+    """Laws of the wheel and the body of a car on a road s, with a tyre of 4500 /s^2, and the modes of small motion."""
+    both = {"w": ("w:dw:ddw", {"w-b": -450.0, "dw-db": -27.5, tyre: -4500.0, **more}), "b": ("b:db:ddb", {})}
+    both["b"] = ("b:db:ddb", {"w-b": 62.07, "dw-db": 3.79})
+    laws = [
+        Law(parse_chain(chain), [parse(name) for name in coef], replace(posterior(coef, 1e-6), n=1e30))
+        for chain, coef in both.values()
+    ]
+    A = np.zeros((4, 4))
+    A[:2, 2:], A[2:, 0::2], A[2:, 1::2] = np.eye(2), [[-4950.0, -27.5], [62.07, 3.79]], [[450.0, 27.5], [-62.07, -3.79]]
+    values = np.linalg.eigvals(A)
+    return laws, sorted((abs(one) / math.tau, -one.real / abs(one)) for one in values if one.imag > 0.0)
+
+
+@pytest.mark.parametrize("tyre", ["w-s", "w-s**2", "(2*w-s)/2", "sin(w)"])
+def test_modes_know_of_states_in_terms_that_hold_an_input_too(tyre):
+    laws, expected = quarter_car(tyre)
+    found = system_parameters(laws, ["s"], {}, draws=400, seed=0)
+    modes = [(mode.frequency.mean, mode.damping_ratio.mean) for mode in found.modes]
+    np.testing.assert_allclose(modes, expected, rtol=1e-4)
+    assert found.unexplained == (("sin(w)",) if tyre == "sin(w)" else ())
+    assert not found.note
+
+
+@pytest.mark.parametrize("mixed", ["w*s", "(w-s)**3", "t*w", "ddb*cos(w)"])
+def test_there_are_no_modes_where_they_depend_on_an_input(mixed):
+    laws, _ = quarter_car(**{mixed: -1.0})
+    found = system_parameters(laws, ["s"], {}, draws=400, seed=0)
+    assert not found.modes
+    assert mixed in found.unexplained
+    assert str(found).splitlines()[-1].startswith("no modes: ")
+    assert mixed in found.note
+
+
+def test_an_oscillator_on_a_moving_base_has_the_stiffness_of_the_difference():
+    found = parameters({"x-w": -500.0, "v": -1.0, "u": 0.5}, inputs=("u", "w"))
+    assert found["k"].mean == pytest.approx(1000.0, rel=1e-3)
+    assert found["f_n"].mean == pytest.approx(math.sqrt(500.0) / math.tau, rel=1e-3)
+    assert found.unexplained == ("x-w",)
+
+
+def test_a_frequency_names_what_it_leaves_out():
+    found = parameters({**DUFFING, "x*w": 3.0}, inputs=("u", "w"))
+    assert found["f_n"].meaning == "natural frequency without x*w"
+    assert found["k"].meaning == "stiffness"
+    assert not found.modes
+    assert parameters(without=["r"])["zeta"].meaning == "damping ratio without r"
+
+
+@pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
+def test_intervals_given_terms_that_are_not_determined_are_not_printed():
+    record = bq.simulate("duffing", n=400, seed=0, noise=0.2)
+    eq = bq.discover(record, **ROLES, dictionary="x, v, x**3, v**3, u")
+    assert eq.verdict.kind == "not determined"
+    assert eq[0].printed_over_models[eq[0].posterior.names.index("u")]
+    assert eq.physical()["m"].sd > 0.0  # where it is asked for
+    assert eq.to_dict()["parameters"] == []
+    assert "natural frequency" not in brief(eq)

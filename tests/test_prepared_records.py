@@ -173,7 +173,7 @@ def test_long_gaps(eq, record):
     refined, said = quietly(eq.refine, gap)
     assert refined.refined.segments == 2
     assert refined.refined.files == ("duffing",)
-    assert "the first after row 300: taken as 2 pieces" in said[1]
+    assert "first after row 300: taken as 2 pieces" in said[1]
     assert quietly(eq.score, gap)[0].rows == 152  # a fifth of either piece
     assert quietly(eq.score, gap, start=340)[0].rows == 460
     with warnings.catch_warnings():

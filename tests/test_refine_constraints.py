@@ -194,9 +194,7 @@ def test_a_sign_without_doubt_changes_nothing():
 
 def test_a_wrong_sign_is_reported():
     record = undamped(0.05)
-    with pytest.warns(
-        DataWarning, match="free runs contradict the known sign of a: v .* check the directions"
-    ) as caught:
+    with pytest.warns(DataWarning, match="free runs contradict the known sign of a: v .* check directions") as caught:
         after = signed(record, "v >= 0").refine(record)
     assert after.warnings[-1] == str(caught[0].message)
     assert after[0].coef["v"] > 0.0

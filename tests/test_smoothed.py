@@ -182,8 +182,8 @@ def test_a_gap_that_cannot_be_bridged_divides_the_record(decimals):
     assert eq[0].coef["x"] == pytest.approx(-16.0036, rel=1e-3)
     assert eq[0].coef["dx"] == pytest.approx(-0.12, rel=0.03)
     (message,) = [m for m in eq.warnings if "gaps" in m]
-    assert message.endswith(" s), the first after row 400: taken as 2 pieces")
-    half_period = float(message.removeprefix("record: gaps longer than half a period of x (").split()[0])
+    assert message.endswith(" s), first after row 400: taken as 2 pieces")
+    half_period = float(message.removeprefix("gaps longer than half a period of x (").split()[0])
     assert half_period == pytest.approx(np.pi / 4, rel=0.2)
 
 

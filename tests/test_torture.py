@@ -267,7 +267,7 @@ def test_coefficients_without_squares_are_refused(estimator):
 
 def test_a_target_that_the_noise_prior_hides_is_warned_of():
     D, y = problem()
-    with pytest.warns(DataWarning, match="no term can be found; divide y by its standard deviation"):
+    with pytest.warns(DataWarning, match="takes for noise: divide it by its sd"):
         assert not bq.SpikeSlabVB().fit(D, y * 1e-6).coef_.any()
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -23,7 +23,7 @@ def warn_of_other_terms(equations: Sequence[Equation], scored: Sequence[Equation
         if set(equation.shown) != set(former.shown):
             log.warn(
                 f"{equation.target}: the first rows alone give other terms than all of them"
-                f" ({some_of(former.shown or ('none',), 40)}): measure longer",
+                f" ({some_of(former.shown or ('none',), 20)}): measure longer",
                 AmbiguityWarning,
             )
 
@@ -41,7 +41,7 @@ def warn_of_sensors(motion: Motion, given: Set[str], log: WarningLog) -> None:
     unused = [name for name in roles.measured if sensors.noisy(name)]
     if unused and not motion.smoothed:
         log.warn(
-            f"the noise given of {some_of(unused, 30)} is not used: rows are taken as measured here; use smooth='auto'",
+            f"the noise given of {some_of(unused, 30)} is not used: rows are taken as measured; use smooth='auto'",
             DataWarning,
         )
 
@@ -55,8 +55,8 @@ def warn_of_blows(
         if blows is not None:
             change = float(np.abs(blows).max() / np.sqrt(blows @ blows))
             log.warn(
-                f"{name} is exactly 0 between blows, its noise is not seen: 1 % of the peak would be {change:.1g} % of"
-                f" its coefficient: give --noise {name}=SD",
+                f"{name} is exactly 0 between blows, its noise is not seen: give --noise {name}=SD (1 % of"
+                f" peak: {change:.1g} % off)",
                 DataWarning,
             )
 
@@ -72,8 +72,7 @@ def warn_of_zero(design: Design, records: Sequence[Record], log: WarningLog) -> 
         powers = [term for term in design.terms if term.text.startswith(f"{name}**")]
         if powers and not low <= 0.0 <= high:
             log.warn(
-                f"{name} is nowhere zero, it lies between {low:.4g} and {high:.4g}: measure it from the position of"
-                f" rest (--remove-offset {name})",
+                f"{name} is nowhere zero ({low:.4g} .. {high:.4g}): measure it from rest (--remove-offset {name})",
                 DataWarning,
             )
 
@@ -86,7 +85,7 @@ def warn_of_terms(design: Design, log: WarningLog) -> None:
             DataWarning,
         )
     if design.dropped:
-        listed = some_of([f"{one.name} ({one.reason})" for one in design.dropped], 60, "; ")
+        listed = some_of([f"{one.name} ({one.reason})" for one in design.dropped], 48, "; ")
         log.warn(f"terms left out: {listed}: other motion, or other units, would tell", TermWarning)
 
 
@@ -103,8 +102,7 @@ def warn_of_changes(conserve: str, weights: Mapping[int, float], motion: Motion,
     found = _change(weights, motion)
     if found is not None and found.chance < CHANCE and found.slow > MATTERS * found.largest:
         log.warn(
-            f"the record contradicts that {conserve} does not change: it varies with a sd of {found.slow:.3g}; check"
-            " units, or leave conserve out",
+            f"the record contradicts that {conserve} does not change: it varies with a sd of {found.slow:.3g}; check units",
             DataWarning,
         )
 

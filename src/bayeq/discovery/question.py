@@ -283,8 +283,8 @@ class Question:
             return record, True, tuple(known)
         refused = [text for text, _, _ in ties]
         log.warn(
-            f"the record contradicts {'; '.join(refused)} (odds {odds_text(-lost)}): shown without;"
-            " check factors, signs and units",
+            f"the record contradicts {some_of(refused, 40, '; ')} (odds {odds_text(-lost)}): shown without;"
+            " check factors",
             DataWarning,
         )
         return free, True, tuple(one for one in known if one not in refused)

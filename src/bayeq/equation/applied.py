@@ -228,8 +228,8 @@ def _out_of_range(equations: Equations, records: Sequence[Record]) -> list[str]:
         room = BEYOND * (high - low)
         if least < low - room or most > high + room:
             out.append(
-                f"{name} lies between {least:.3g} and {most:.3g}, beyond the {low:.3g} to {high:.3g} that the equations"
-                " were found from: they are extrapolated there"
+                f"{name}, {least:.3g} .. {most:.3g}, goes beyond the {low:.3g} .. {high:.3g} of the equations' records:"
+                " they are extrapolated there"
             )
     return out
 

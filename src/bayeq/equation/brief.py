@@ -34,6 +34,9 @@ RIVAL = 0.05
 # Terms that are too small to be seen are listed up to this number, and where the others are.
 FEW, ADVICE = 2, " (--verbose)"
 
+# Terms of an equation of several are listed a line each up to this number.
+MOST_ROWS = 6
+
 # Parameters that follow from others and are not printed.
 DERIVED = ("omega_n",)
 
@@ -46,23 +49,27 @@ def brief(eq: Answer) -> str:
     lines = _wrapped(f"verdict: {eq.verdict.kind}: {sentence(eq)}")
     if eq.verdict.kind == "none":
         return "\n".join([*lines, "", *_wrapped(what_to_try(eq))])
-    physical, law = own_parameters(eq), list[str]()
-    if physical is not None and len(eq.equations) == 1:
-        in_symbols = law_in_symbols(eq, physical)
-        law = [] if in_symbols is None else [printable(in_symbols)]
-        law += _quantities([q for q in physical if q.symbol not in DERIVED])
+    physical, owner = own_parameters(eq), _owner(eq)
     for one in eq.equations:
         tabled = physical is None or _doubtful(one) or bool(one.shown_constants)
         lines += [
             *([""] if tabled or one is eq.equations[0] else []),
-            *law,
+            *(_law(eq, physical, one, tabled) if physical is not None and one is owner else ()),
             # bold for a terminal; `click.echo` takes it out elsewhere
             *(f"\x1b[1m{line}\x1b[0m" for line in _wrapped(printable(one.text), "    ")),
         ]
-        if tabled:
-            lines += _table(one, ENGINES[eq.method].score)
-    if physical is not None and len(eq.equations) > 1:
-        lines += ["", *_quantities([q for q in physical if not q.symbol.startswith("phi_")])]
+        explained = one is owner or one.chain.stated
+        if tabled or (not explained and len(one.shown) <= MOST_ROWS):
+            lines += _table(one, ENGINES[eq.method].score, marked=physical is not None)
+        elif not explained:
+            lines += _wrapped(printable(f"    95 % intervals: {_intervals(one, one.shown)}"), "      ")
+    if physical is not None and owner is None:
+        lines += ["", *_quantities(physical)]
+        if len(physical) and physical.unexplained and eq.equations[0].chain.order == 2:
+            lines += _wrapped(printable(f"    also in the equation: {', '.join(physical.unexplained)}"), "      ")
+        lines += _wrapped(printable(f"    {physical.note}"), "      ")
+    if physical is not None and any(f" {text.MARK}" in line for line in lines):
+        lines += _wrapped(f"    {text.MARK} {text.OVER_MODELS}", "      ")
     lines += ["", *_wrapped(checks(eq))]
     for one in eq.equations:
         which = f"{one.target}: " if len(eq.equations) > 1 else ""
@@ -70,6 +77,33 @@ def brief(eq: Answer) -> str:
         lines += [line for said in texts for line in _wrapped(printable(which + said))]
     lines += [line for said in text.given_of(eq) for line in _wrapped(printable(said))]
     return "\n".join([*lines, *_wrapped(text.source_of(eq, short=True))])
+
+
+def _owner(eq: Answer) -> Equation | None:
+    """The equation that physical parameters are of, if that is one alone."""
+    second = [one for one in eq.equations if one.chain.order == 2]
+    return second[0] if len(second) == 1 else eq.equations[0] if len(eq.equations) == 1 else None
+
+
+def _law(eq: Answer, physical: PhysicalParameters, owner: Equation, tabled: bool) -> list[str]:
+    """The law in symbols, where it is one of these, its parameters, and the terms that have no place among them."""
+    in_symbols, symbols = law_in_symbols(eq, physical), {q.symbol for q in physical}
+    lines = [*([] if in_symbols is None else [printable(in_symbols)]), *_quantities(physical)]
+    also = ", ".join(physical.unexplained) if tabled else _intervals(owner, physical.unexplained, "x0" in symbols)
+    return lines + _wrapped(printable(f"    also in the equation: {also}"), "      ") if also else lines
+
+
+def _intervals(equation: Equation, names: Sequence[str], without_constant: bool = False) -> str:
+    """Terms, and by default the constant where there is one, with the intervals of their coefficients."""
+    *rows, constant = text.rows_of(equation)
+    known = {**{row.name: row for row in rows}, "constant": constant}
+    listed = [*names, *(["constant"] if equation.intercept_matters and not without_constant else [])]
+    return ", ".join(f"{name} ({_marked(known[name])})" if name in known else name for name in listed)
+
+
+def _marked(row: text.Row) -> str:
+    """The interval of a term, marked where it is over models."""
+    return row.interval + f" {text.MARK}" * row.over_models
 
 
 def _wrapped(words: str, indent: str = "  ") -> list[str]:
@@ -127,12 +161,21 @@ def law_in_symbols(eq: Answer, found: PhysicalParameters) -> str | None:
     return f"{' + '.join(parts)} = {driven[0] if driven and not per else '0'}" if not (driven and per) else None
 
 
-def _quantities(quantities: Sequence[Quantity]) -> list[str]:
-    # tau[x] says of what it is the time constant; a position of rest that is zero says nothing
-    told = [q for q in quantities if q.mean or q.sd]
-    cells = [(q.symbol, *q.cells, q.meaning.partition(" of ")[0] if "[" in q.symbol else q.meaning) for q in told]
+def _quantities(found: PhysicalParameters) -> list[str]:
+    # a position of rest that is zero says nothing; shapes of modes are many
+    told = [q for q in found if (q.mean or q.sd) and q.symbol not in DERIVED and not q.symbol.startswith("phi_")]
+    cells = [(q.symbol, *q.cells, _meaning(q)) for q in told]
     rows = [(symbol, mean, f"({interval})", printable(unit), why) for symbol, mean, _, interval, unit, why in cells]
     return [f"    {line}" for line in aligned(rows, left=(0, 2, 3, 4))]
+
+
+def _meaning(quantity: Quantity) -> str:
+    """What a parameter is; ``tau[x]`` says of what it is the time constant."""
+    what, _, of = quantity.meaning.partition(" of ")
+    if "[" not in quantity.symbol:
+        return quantity.meaning
+    _, without, names = of.partition(" without ")
+    return f"{what}{without}{names}"
 
 
 def _doubtful(equation: Equation) -> bool:
@@ -142,16 +185,19 @@ def _doubtful(equation: Equation) -> bool:
     return bool((pip < text.CERTAIN).any() or rivals or equation.left_out)
 
 
-def _table(equation: Equation, score: str) -> list[str]:
+def _table(equation: Equation, score: str, marked: bool) -> list[str]:
+    """Terms with coefficients and intervals; intervals over models are marked beside parameters given the terms."""
     with_pip, (*rows, constant) = _doubtful(equation), text.rows_of(equation)
     short = text.short_names([term.text for term in equation.terms], text.LONGEST_NAME)
     table = [("term", "coefficient", "95 % interval", "unit", score)]
     for row in rows:
         if row.coefficient or (with_pip and row.pip >= NOTEWORTHY_PIP):
             number = row.coefficient or "not in it"
-            table.append((text.with_names(row.name, short), number, row.interval, row.unit, row.score))
+            interval = _marked(row) if marked else row.interval
+            table.append((text.with_names(row.name, short), number, interval, row.unit, row.score))
     if equation.intercept_matters:
-        table.append(("constant", constant.coefficient, constant.interval, constant.unit, ""))
+        ends = _marked(constant) if marked else constant.interval
+        table.append(("constant", constant.coefficient, ends, constant.unit, ""))
     kept = [0, 1, 2, *([3] if any(row[3] for row in table[1:]) else []), *([4] if with_pip else [])]
     return [f"    {line}" for line in aligned([[printable(row[k]) for k in kept] for row in table], left=(0, 3))]
 
@@ -162,15 +208,22 @@ def checks(eq: Answer) -> str:
     fits, where = [one.held_out for one in seen], "rows that were not used"
     if fits[0] is None:
         fits, where = [one.train for one in seen], "the rows used (none were held out)"
-    pairs = [(one.target, fit) for one, fit in zip(seen, fits, strict=True) if fit is not None]
-    parts = [percentages({target: fit.nrmse}).replace(" ", " within ", 1) for target, fit in pairs]
-    stopped = None if eq.scores is None else eq.scores.blew_up_at
-    if stopped is not None:
-        parts.append(f"a free run over them blew up at {moment(stopped, eq.roles.discrete)}")
-    elif eq.scores is not None:
-        states = [name for one in eq.equations for name in one.chain.states if name in eq.scores.free_run]
-        if states:
-            parts.append(f"free run within {percentages({name: eq.scores.free_run[name] for name in states})}")
+    pairs = [(one, fit) for one, fit in zip(seen, fits, strict=True) if fit is not None]
+    scores, still = eq.scores, () if eq.scores is None or fits[0] is None else eq.scores.still
+    # of a target that is estimated the error is mostly that of the estimate
+    measured = [(one.target, fit) for one, fit in pairs if one.chain.measured[-1] or one.chain.discrete]
+    parts = [
+        f"{target} within {percentages({'': fit.nrmse}).strip()}" for target, fit in measured if target not in still
+    ]
+    if scores is not None and scores.blew_up_at is not None:
+        parts.append(f"a free run over them blew up at {moment(scores.blew_up_at, eq.roles.discrete)}")
+    elif scores is not None and set(scores.free_run) - set(still):
+        shown = {name: error for name, error in scores.free_run.items() if name not in still}
+        parts.append(f"free run within {percentages(shown)}")
+    if still:
+        parts.append(f"{', '.join(still)} hardly move{'s' * (len(still) == 1)} there, which tests little")
+    if not parts:
+        parts = [f"{one.target} within {percentages({'': fit.nrmse}).strip()}" for one, fit in pairs]
     if all(not list(failed(one)) and one.verdict.kind == "found" for one in eq.equations):
         parts.append("what is left looks like noise")
     return printable(f"checked on {pairs[0][1].n} {where}: {', '.join(parts)}")
@@ -240,16 +293,19 @@ def as_html(eq: Answer) -> str:
     header = (*HEADER, ENGINES[eq.method].score, "unit")
     for equation in eq.equations:
         terms = [
-            (row.name, row.coefficient or "not in it", row.sd, row.interval, row.score, row.unit)
+            (row.name, row.coefficient or "not in it", row.sd, _marked(row), row.score, row.unit)
             for row in _listed(equation)
         ]
         if equation.intercept_matters:
             constant = text.rows_of(equation)[-1]
-            terms.append(("1", constant.coefficient, constant.sd, constant.interval, "", constant.unit))
+            terms.append(("1", constant.coefficient, constant.sd, _marked(constant), "", constant.unit))
         width = len(header) if any(row[-1] for row in terms) else len(header) - 1
         parts += [code(equation.text), table(header[:width], [row[:width] for row in terms])]
     physical = own_parameters(eq)
     if physical is not None:
         law = law_in_symbols(eq, physical)
         parts += [*([] if law is None else [code(law)]), table(PARAMETERS, tabled_parameters(physical), (0, 4))]
+        parts += [paragraph(physical.note)] if physical.note else []
+    if any(one.printed_over_models.any() for one in eq.equations):
+        parts.append(paragraph(f"{text.MARK} {text.OVER_MODELS}"))
     return join(*parts, paragraph(checks(eq)), items([f"warning: {message}" for message in eq.warnings]))

@@ -272,7 +272,7 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
     if not posterior.converged:
         rhat = "" if posterior.rhat is None else f", multivariate R-hat {posterior.rhat:.3g}"
         log.warn(
-            f"{target}: the search was stopped before it was done{rhat}: probabilities may be off; give fewer terms",
+            f"{target}: the search was stopped early{rhat}: probabilities may be off; give fewer terms",
             ConvergenceWarning,
         )
     regression = selection.fit.regression
@@ -284,8 +284,8 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
     for j, mean, sd in selection.fit.constraints.stated:
         if abs(posterior.coef[j] - mean) > CONTRADICTED * sd:
             log.warn(
-                f"{target}: the record contradicts {posterior.names[j]} ~ {mean:g} +- {sd:g}: with it the coefficient"
-                f" is {posterior.coef[j]:.4g}; check both, or leave that out",
+                f"{target}: the record contradicts {posterior.names[j]} ~ {mean:.4g} +- {sd:.3g}: it is"
+                f" {posterior.coef[j]:.4g}; check both, or drop that",
                 DataWarning,
             )
     beyond = selection.fit.beyond_bounds(CONTRADICTED)
@@ -293,25 +293,26 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
     if contradicted:
         what = "sign" if selection.fit.constraints.bounds is None else "sign or bound"
         log.warn(
-            f"{target}: the data contradict the known {what} of {some_of(contradicted, 20)}: check the"
-            " channels' directions, or drop it",
+            f"{target}: the data contradict the known {what} of {some_of(contradicted, 16)}: check directions, or"
+            " drop it",
             DataWarning,
         )
     for name, (end, free, sds) in beyond.items():
         relation, by = "<=" if free > end else ">=", f"{sds:.2g}" if sds < 10.0 else f"{sds:.0f}"
         log.warn(
-            f"{target}: the record contradicts {name} {relation} {end:.4g} by {by} standard deviations (free:"
-            f" {free:.4g}): check units, or drop it",
+            f"{target}: the record contradicts {name} {relation} {end:.4g} by {by} sd (free: {free:.4g}): check"
+            " units, or drop it",
             DataWarning,
         )
     if equation.verdict.kind == "none":
         why = equation.verdict.reason.partition(", though")[0].partition(" (")[0]
+        why = why.replace("started from a measured state the equation is", "free runs are")
         log.warn(f"{target}: {why}; check the channels", DataWarning)
     found = selection.fit.posterior
     if found.optimum is not None and bool((found.optimum != found.support).any()):
         other = [n for n, kept in zip(found.names, found.optimum, strict=True) if kept]
         log.warn(
-            f"{target}: variational Bayes alone takes other terms ({some_of(other or ['none'], 40)}): measure longer",
+            f"{target}: variational Bayes alone takes other terms ({some_of(other or ['none'], 24)}): measure longer",
             AmbiguityWarning,
         )
     written = [left.name for left in equation.left_out if left.reason == "dependent"]
@@ -324,14 +325,14 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
     if likelier and not equation.left_out:
         listed = some_of([f"{r} (odds {r.odds})" for r in likelier], 30, "; ")
         log.warn(
-            f"{target}: shown are terms with a PIP above 0.5; likelier is the equation {listed}: measure longer",
+            f"{target}: shown are PIPs above 0.5; likelier is the equation {listed}: measure longer",
             AmbiguityWarning,
         )
     swaps = [r for r in equation.runners_up if r.leaves and r.enters and r.log_odds > -AMBIGUOUS]
     if found.average is not None:
         _warn_of_groups(equation, {left.name for left in equation.left_out}, {*written}, log)
     elif swaps:
-        listed = some_of([f"{r} (odds {r.odds})" for r in swaps], 40, "; ")
+        listed = some_of([f"{r} (odds {r.odds})" for r in swaps], 30, "; ")
         log.warn(f"{target}: the record cannot tell terms apart: {listed}; {TELL_APART}", AmbiguityWarning)
     _warn_of_residuals(equation, selection, log)
     _warn_of_hidden_noise(equation, regression=selection.shown_fit.regression, log=log)
@@ -342,12 +343,11 @@ def _warn_of_residuals(equation: Equation, selection: Selection, log: WarningLog
     if residuals.discrepancy is not None:
         return
     if residuals.correlated:
-        advice = "add terms or inputs" if regression.motion.smoothing else "use smooth='auto'"
         counted = regression.gram.n < equation.train.n
         so = ", which is what the rows count for" if counted else ": intervals may be too narrow"
         log.warn(
-            f"{target}: the residuals are correlated in time, worth {residuals.n_eff:.0f} of {residuals.n} rows{so};"
-            f" {advice}, or measure longer",
+            f"{target}: correlated residuals, worth {residuals.n_eff:.0f} of {residuals.n:d} rows{so}"
+            f"{'; add terms or inputs' if regression.motion.smoothing else '; use --smooth auto'}",
             CorrelatedResidualsWarning,
         )
     if residuals.driven and residuals.driver is not None:
@@ -363,8 +363,8 @@ def _warn_of_hidden_noise(equation: Equation, regression: Regression, log: Warni
         changes = changes_by_noise(regression, equation.shown_posterior, name, [NOISE_OF_INPUT])
         term, (change,) = max(changes.items(), key=lambda one: abs(one[1][0]))
         log.warn(
-            f"{equation.target}: how noisy {name} is cannot be seen; {100 * NOISE_OF_INPUT:.0f} % of noise would shift"
-            f" that of {term} by {100 * change:+.2g} %: give --noise {name}=SD",
+            f"{equation.target}: noise of {name} unseen, {100 * NOISE_OF_INPUT:.0f} % would shift {term} by"
+            f" {100 * change:+.2g} %: give --noise {name}=SD",
             DataWarning,
         )
 
@@ -380,7 +380,6 @@ def _warn_of_groups(equation: Equation, left_out: Set[str], written: Set[str], l
         beside = [posterior.names[j] for j in members if posterior.names[j] in left_out]
         none = f"none, for {', '.join(beside)} is left out" if beside else "none"
         log.warn(
-            f"{equation.target}: the record cannot tell {listed} apart; shown: {some_of(shown or [none], 20)};"
-            f" {TELL_APART}",
+            f"{equation.target}: cannot tell {listed} apart; shown: {some_of(shown or [none], 12)}; {TELL_APART}",
             AmbiguityWarning,
         )

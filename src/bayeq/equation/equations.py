@@ -396,10 +396,7 @@ class Equations(Answer):
         if not all(equation.models for equation in self.equations):
             raise InputError("the likeliest models are not in the file of the equations: find and save them again")
         if self.verdict.kind == "none":
-            message = (
-                f"the plan is for equations that were not found ({self.verdict.reason}): do not rely on it; check the"
-                " channels and the dictionary first"
-            )
+            message = "the plan is for equations that were not found: do not rely on it; check channels and terms first"
             warnings.warn(message, DataWarning, stacklevel=2)
         conditions = conditions_of(
             self.data.measured,

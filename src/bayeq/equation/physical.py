@@ -25,8 +25,9 @@ from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
 from bayeq.equation.answer import Answer
 from bayeq.equation.written import OscillatorUnits, quotient_unit, with_interval
-from bayeq.errors import InputError, UnknownNameError, whole_number
+from bayeq.errors import InputError, UnknownNameError, some_of, whole_number
 from bayeq.expressions import Binary, Expression, Node, Number, Symbol, parse
+from bayeq.expressions.functions import TIME
 from bayeq.figures.style import named
 from bayeq.forecast.dynamics import Dynamics, Law
 from bayeq.likelihood.signs import jumps_of
@@ -37,14 +38,16 @@ from bayeq.states import Chain
 if TYPE_CHECKING:
     import pandas as pd
 
+    from bayeq.equation.equation import Equation
+
 # Highest power of the displacement that is a stiffness by a name of its own.
 HIGHEST_POWER = 9
 
 # Places at which a zero of the force is looked for, and how far beyond the record's range, as a share of that.
 PLACES, BEYOND = 2001, 0.5
 
-# Newton's steps, and the step of derivatives as a share of the range.
-STEPS, STEP = 20, 1e-4
+# Newton's steps, and the step of derivatives as a share of the range; that of derivatives at zero.
+STEPS, STEP, ZERO_STEP = 20, 1e-4, 1e-4
 
 # Positions of rest nearer to zero than this share of the record's range are there.
 AT_ZERO = 1e-9
@@ -120,11 +123,14 @@ class PhysicalParameters:
         Included terms that have no place among them.
     modes : tuple of Mode
         The slowest first.
+    note : str
+        Why there are no modes, where terms of the equations forbid them.
     """
 
     quantities: tuple[Quantity, ...]
     unexplained: tuple[str, ...] = ()
     modes: tuple[Mode, ...] = ()
+    note: str = ""
 
     def __iter__(self) -> Iterator[Quantity]:
         return iter(self.quantities)
@@ -151,15 +157,19 @@ class PhysicalParameters:
         """A line per parameter."""
         header = ("parameter", "mean", "sd", "95 % interval", "unit", "")
         rows = [header, *((q.symbol, *q.cells, q.meaning) for q in self.quantities)]
-        lines = aligned(rows, left=(0, 4, 5))
+        lines = aligned(rows, left=(0, 4, 5)) if self.quantities else []
         if self.unexplained:
             lines.append(f"also in the equation: {', '.join(self.unexplained)}")
-        return "\n".join(lines)
+        return "\n".join([*lines, *([self.note] if self.note else [])])
 
 
 def own_parameters(eq: Answer) -> PhysicalParameters | None:
-    """Physical parameters; None where the equations have none, or where none was found."""
-    if eq.verdict.kind == "none":
+    """Physical parameters; None where the equations have none, or where none was found.
+
+    They are given the terms shown: None too where these are not determined, and intervals depend on which they are.
+    """
+    over_models = any(one.printed_over_models.any() or one.intercept_over_models for one in eq.equations)
+    if eq.verdict.kind == "none" or (eq.verdict.kind == "not determined" and over_models):
         return None
     try:
         return oscillator_parameters(eq, None, target=None, force=None, draws=DRAWS, seed=0)
@@ -183,7 +193,9 @@ def oscillator_parameters(
             return system_parameters(second, eq.inputs, eq.equations[0].units, draws=draws, seed=seed)
         if all(one.chain.order == 1 for one in eq.equations):
             laws = [one.law for one in eq.equations]
-            return first_order_parameters(laws, eq.inputs, eq.equations[0].units, draws=draws, seed=seed)
+            hidden = {one.target: _fed_back(one, [other for other in eq.equations if other.chain.hidden]) for one in eq}
+            units = eq.equations[0].units
+            return first_order_parameters(laws, eq.inputs, units, without=hidden, draws=draws, seed=seed)
         named_ones = [one.target for one in eq.equations if one.chain.order == 2]
         if not named_ones:
             raise InputError(
@@ -201,9 +213,26 @@ def oscillator_parameters(
             f"the stiffness cannot be told: the verdict is {equation.verdict.kind!r}, and {name} is nowhere zero;"
             f" measure {name} from the position of rest (bayeq.remove_offset, --remove-offset {name})"
         )
+    without = _fed_back(equation, [one for one in eq.equations if one.chain.order == 1])
     return physical_parameters(
-        equation.law, eq.inputs, equation.units, mass=mass, force=force, span=span, draws=draws, seed=seed
+        equation.law,
+        eq.inputs,
+        equation.units,
+        mass=mass,
+        force=force,
+        span=span,
+        without=without,
+        draws=draws,
+        seed=seed,
     )
+
+
+def _fed_back(equation: Equation, others: Sequence[Equation]) -> list[str]:
+    """States of other equations in this one that its own states drive: they are part of its stiffness and damping."""
+    moved = set(equation.chain.states)
+    for _ in others:  # one may drive the next
+        moved |= {z for one in others if _names(one.law) & moved for z in one.chain.states}
+    return sorted(_names(equation.law) & moved - set(equation.chain.states))
 
 
 class Force(NamedTuple):
@@ -240,6 +269,7 @@ def physical_parameters(
     mass: float | None = None,
     force: str | None = None,
     span: tuple[float, float] | None = None,
+    without: Sequence[str] = (),
     draws: int = 10_000,
     seed: int = 0,
 ) -> PhysicalParameters:
@@ -247,8 +277,8 @@ def physical_parameters(
 
     Stiffnesses and damping are those about the position of rest. Where the units of lengths and forces are known ones,
     parameters are in SI units (a displacement in mm is fine); otherwise in those of the channels. The span is the least
-    and largest displacement of the record; without it the position of rest is taken to be zero. For the rest see
-    `bayeq.Equations.physical`.
+    and largest displacement of the record; without it the position of rest is taken to be zero. The natural frequency
+    says that it is `without` some states, and there are no modes. For the rest see `bayeq.Equations.physical`.
 
     InputError: not of second order, no term in the displacement alone that restores, a mass that is not positive, or
     units that are not those of a motion and its derivatives, or not those of this motion.
@@ -263,7 +293,8 @@ def physical_parameters(
     driven = _force(inputs, coefficients, force)
     system = OscillatorUnits(units, law.chain, law.unit_gains, driven, mass is not None)
     theta = {f.symbol: coefficients[f.term] * system.scale(f.powers) for f in forces}
-    quantities = _modal(theta)
+    mixed = [name for name in coefficients if _is_mixed(parse(name), law.chain.states, [*inputs, TIME])]
+    quantities = _modal(theta, [*without, *mixed])
     weight = _mass(mass, None if driven is None else coefficients[driven] * system.scale_force(), draws)
     if weight is not None:
         quantities.append(quantity("m", "mass", weight, system.mass()))
@@ -276,18 +307,25 @@ def physical_parameters(
         quantities.append(quantity("x0", "position of rest", position * system.per_length, system.displacement()))
     explained = {f.term for f in forces} | ({driven} if driven is not None else set())
     known = {q.symbol: q for q in quantities}
-    modes = [Mode(known["f_n"], known["zeta"], {law.chain.states[0]: 1.0})] if "zeta" in known else []
+    whole = "zeta" in known and not (without or mixed)
+    modes = [Mode(known["f_n"], known["zeta"], {law.chain.states[0]: 1.0})] if whole else []
     left = tuple(name for name in coefficients if name not in explained)
     return PhysicalParameters(tuple(quantities), left, tuple(modes))
 
 
 def first_order_parameters(
-    laws: Sequence[Law], inputs: Sequence[str], units: Mapping[str, str], *, draws: int, seed: int
+    laws: Sequence[Law],
+    inputs: Sequence[str],
+    units: Mapping[str, str],
+    *,
+    without: Mapping[str, Sequence[str]],
+    draws: int,
+    seed: int,
 ) -> PhysicalParameters:
     """Time constant and gains of states of first order, ``tau x' = -x + gain u + ...``, a law per state.
 
-    Those of laws that hold the state in other terms too have none. The rest is as for `physical_parameters`. InputError
-    if no state decays by a term of its own.
+    Those of laws that hold the state in other terms too have none. The rest is as for `physical_parameters`, `without`
+    by target. InputError if no state decays by a term of its own.
     """
     found, other, rng = list[Quantity](), list[str](), np.random.default_rng(seed)
     for law in laws:
@@ -304,7 +342,8 @@ def first_order_parameters(
                 gains.append(quantity(f"gain[{x}, {name}]", f"static gain of {x} by {name}", own / rate, unit))
             elif name != x and name not in other:
                 other.append(name)
-        found += [quantity(f"tau[{x}]", f"time constant of {x}", 1.0 / rate, "s"), *gains]
+        meaning = f"time constant of {x}{_without(without[law.chain.target])}"
+        found += [quantity(f"tau[{x}]", meaning, 1.0 / rate, "s"), *gains]
     if not found:
         raise InputError("no state decays by a linear term of its own: there is no time constant")
     return PhysicalParameters(tuple(found), tuple(other))
@@ -321,6 +360,11 @@ def _read(law: Law, draws: int, seed: int, span: tuple[float, float] | None) -> 
     count = whole_number("draws", draws, 100)
     x, v = chain.states
     constant, coefficients = drawn_coefficients(law, count, np.random.default_rng(seed))
+    for term, values in list(coefficients.items()):  # x - u holds x
+        slope = _slope(term, chain.states) if len(term.names) > 1 else None
+        for name, part in zip(chain.states, (0.0, 0.0) if slope is None else slope, strict=True):
+            if part:
+                coefficients[parse(name)] = coefficients.get(parse(name), 0.0) + part * values
     position, p = None, law.posterior
     has_constant = p.intercept_pip > 0.5 if p.intercept_pip is not None else abs(p.intercept) > Z95 * p.intercept_sd
     if span is not None and _is_displaced(coefficients, has_constant, x, v, span):
@@ -366,18 +410,22 @@ def _mass(mass: float | None, per_force: Floats | None, draws: int) -> Floats | 
     return np.asarray(1.0 / per_force)
 
 
-def _modal(theta: Mapping[str, Floats]) -> list[Quantity]:
+def _without(names: Sequence[str]) -> str:
+    return f" without {', '.join(names)}" if names else ""
+
+
+def _modal(theta: Mapping[str, Floats], without: Sequence[str]) -> list[Quantity]:
     """Natural frequency and damping ratio of the linear part, where there is one that oscillates."""
     if "k" not in theta or not np.quantile(-theta["k"], 0.025) > 0:
         return []
     square = np.where(theta["k"] < 0, -theta["k"], np.nan)
-    omega = np.sqrt(square)
+    omega, but = np.sqrt(square), _without(without)
     out = [
-        quantity("omega_n", "natural frequency", omega, "rad/s"),
-        quantity("f_n", "natural frequency", omega / (2.0 * math.pi), "Hz"),
+        quantity("omega_n", f"natural frequency{but}", omega, "rad/s"),
+        quantity("f_n", f"natural frequency{but}", omega / (2.0 * math.pi), "Hz"),
     ]
     if "c" in theta:
-        out.append(quantity("zeta", "damping ratio", -theta["c"] / (2.0 * omega), ""))
+        out.append(quantity("zeta", f"damping ratio{but}", -theta["c"] / (2.0 * omega), ""))
     return out
 
 
@@ -392,8 +440,9 @@ def system_parameters(
 ) -> PhysicalParameters:
     """Modes of the linear part of several equations of second order, with masses, stiffnesses and dampings as known.
 
-    There is a law per coordinate. Of at most 4000 draws over the number of coordinates the modes are taken. InputError
-    for equations without a mode that oscillates.
+    There is a law per coordinate. Of at most 4000 draws over the number of coordinates the modes are taken; there are
+    none where a term makes them depend on an input, or holds an acceleration. InputError for equations without a mode
+    that oscillates.
     """
     n = len(laws)
     count = min(draws, max(MOST_DRAWS // n, 100))
@@ -403,19 +452,24 @@ def system_parameters(
     per_state = np.concatenate([[1.0 / s.per_length for s in scales], [s.velocity / s.per_length for s in scales]])
     linear, unexplained = np.zeros((count, n, 2 * n)), list[str]()
     driven: dict[str, dict[int, Floats]] = {}
-    rng = np.random.default_rng(seed)
+    rng, others = np.random.default_rng(seed), [*inputs, TIME, *(law.chain.target for law in laws)]
     for i, (law, scale) in enumerate(zip(laws, scales, strict=True)):
         for term, drawn in drawn_coefficients(law, count, rng)[1].items():
             slope = _slope(term, states)
+            tangent = _tangent(term, states) if slope is None and term.names <= set(states[:n]) else slope
+            if tangent is not None:
+                linear[:, i] += drawn[:, None] * tangent * per_state * scale.per_length / scale.acceleration
             if slope is not None:
-                linear[:, i] += drawn[:, None] * slope * per_state * scale.per_length / scale.acceleration
-            elif term.text in inputs:
+                continue
+            if term.text in inputs:
                 driven.setdefault(term.text, {})[i] = drawn * scale.scale_force()
             elif term.text not in unexplained:
                 unexplained.append(term.text)
-    found, modes = _modes(linear, [law.chain.names[0] for law in laws])
+    mixed = [name for name in unexplained if _is_mixed(parse(name), states, others)]
+    note = f"no modes: they would depend on inputs or accelerations, by {some_of(mixed)}" if mixed else ""
+    found, modes = ([], []) if mixed else _modes(linear, [law.chain.names[0] for law in laws])
     found += _matrices(linear, driven, laws, scales)
-    return PhysicalParameters(tuple(found), tuple(unexplained), tuple(modes))
+    return PhysicalParameters(tuple(found), tuple(unexplained), tuple(modes), note)
 
 
 def _names(law: Law) -> set[str]:
@@ -423,16 +477,34 @@ def _names(law: Law) -> set[str]:
 
 
 def _slope(term: Expression, states: Sequence[str]) -> Floats | None:
-    """Derivatives of a term that is linear in the states; None of another."""
-    if not term.names <= set(states):
+    """Derivatives of a term that is linear in the states, beside what else may be added there; None of another."""
+    if not term.names & set(states):
         return None
     rng, size = np.random.default_rng(0), len(states)
-    points = np.vstack([np.eye(size), rng.standard_normal((8, size))])
+    points = np.vstack([np.zeros(size), np.eye(size), rng.standard_normal((8, size))])
+    columns = {name: rng.standard_normal(len(points)) for name in sorted(term.names - set(states))}
+    moved, at_zero = ({**columns, **dict(zip(states, part.T, strict=True))} for part in (points, 0.0 * points))
     with np.errstate(all="ignore"):
-        values = evaluate_terms([term], {name: points[:, k] for k, name in enumerate(states)})[:, 0]
-    slope = values[:size]
+        values = (evaluate_terms([term], moved) - evaluate_terms([term], at_zero))[:, 0]
+    slope = values[1 : size + 1]
     same = np.allclose(points @ slope, values, rtol=1e-9, atol=1e-9 * float(np.abs(slope).max(initial=0.0)))
     return np.asarray(slope) if same and np.isfinite(values).all() else None
+
+
+def _tangent(term: Expression, states: Sequence[str]) -> Floats | None:
+    """Derivatives of a term of displacements at zero, by differences that are exact for powers; None if not finite."""
+    steps = np.eye(len(states))
+    ends = np.concatenate([share * ZERO_STEP * steps for share in (1.0, -1.0, 0.5, -0.5)])
+    with np.errstate(all="ignore"):
+        values = evaluate_terms([term], dict(zip(states, ends.T, strict=True)))[:, 0].reshape(4, -1)
+    whole, half = (values[0] - values[1]) / 2.0, values[2] - values[3]
+    out = (4.0 * half - whole) / (3.0 * ZERO_STEP)
+    return np.asarray(out) if np.isfinite(out).all() else None
+
+
+def _is_mixed(term: Expression, states: Sequence[str], others: Sequence[str]) -> bool:
+    """Whether the derivatives of a term by the states depend on others."""
+    return bool(term.names & set(others)) and bool(term.names & set(states)) and _slope(term, states) is None
 
 
 def _modes(linear: Floats, names: Sequence[str]) -> tuple[list[Quantity], list[Mode]]:

@@ -186,6 +186,7 @@ def check_content(content: Saved, chains: Sequence[Chain]) -> None:
     scores = content["diagnostics"].get("scores") or {"one_step": (), "free_run": ()}
     for name, known in (("one_step", {chain.target for chain in chains}), ("free_run", states)):
         _check_names(scores[name], known, f"diagnostics.scores.{name}")
+    _check_names(scores.get("still", ()), states | {chain.target for chain in chains}, "diagnostics.scores.still")
     measured = data.get("measured") or {"ranges": {}, "bands": {}}
     for of in ("ranges", "bands"):
         _check_intervals(measured[of], f"data.measured.{of}", measured[of])

@@ -319,8 +319,8 @@ def _curve(
     curve = PipCurve(axis_name, tuple(gram.names), values, pip, left_out, int(np.searchsorted(values, used)))
     if not curve.listed[curve.current]:
         warnings.warn(
-            "too many models share the posterior mass to list them: PIPs are averages over models that hold about"
-            f" {100 * (1 - left_out[curve.current]):.0f} % of it; see left_out, or give fewer terms",
+            "too many models share the posterior mass: PIPs are over those of about"
+            f" {100 * (1 - left_out[curve.current]):.0f} % of it (left_out); give fewer terms",
             ConvergenceWarning,
             stacklevel=4,
         )

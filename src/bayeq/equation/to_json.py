@@ -63,7 +63,14 @@ def to_dict(eq: Answer) -> dict[str, Any]:
         **({"constants": list(constants.values())} if eq.constants else {}),
         **({"hidden": finite(list(map(asdict, eq.hidden)))} if eq.hidden else {}),
         "parameters": [
-            {"name": one.symbol, "value": one.mean, "sd": one.sd, "ci95": [one.low, one.high], "unit": one.unit}
+            {
+                "name": one.symbol,
+                "meaning": one.meaning,
+                "value": one.mean,
+                "sd": one.sd,
+                "ci95": [one.low, one.high],
+                "unit": one.unit,
+            }
             for one in found or ()
         ],
         "modes": [

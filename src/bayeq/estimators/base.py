@@ -250,9 +250,8 @@ class SpikeSlabRegressor(SparseRegressor):
         # even a perfect fit gains no more than n y'y / (4 noise_rate) nats, too few for any term
         if 0.0 < gram.n * gram.yty < 4.0 * self.noise_rate:
             warnings.warn(
-                f"the target varies by {math.sqrt(gram.yty / gram.n):.1g} only, which the prior of the noise"
-                f" (noise_rate={self.noise_rate:g}) takes for noise: no term can be found; divide y by its standard"
-                " deviation, or give a smaller noise_rate",
+                f"the target varies by {math.sqrt(gram.yty / gram.n):.1g} only, which noise_rate={self.noise_rate:g}"
+                " takes for noise: divide it by its sd, or give a smaller one",
                 DataWarning,
                 stacklevel=3,
             )

@@ -19,7 +19,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from bayeq.adapters.arviz import to_arviz
 from bayeq.arrays import Floats
 from bayeq.equation.sensitivity import PriorSensitivity, prior_sensitivity
-from bayeq.errors import DataWarning, InputError
+from bayeq.errors import DataWarning, InputError, some_of
 from bayeq.estimators.base import SparseRegressor, SpikeSlabRegressor
 from bayeq.gram import Gram, GramLike
 from bayeq.gram.lazy import LazyGram
@@ -264,8 +264,8 @@ class SpikeSlabBMA(SpikeSlabRegressor):
         found = spike_slab_bma(gram, self._prior(), tolerance=self.tolerance, enumerate_up_to=self.enumerate_up_to)
         if found.contradicted:
             warnings.warn(
-                f"the data contradict the known sign of {', '.join(found.contradicted)} (Bayes factor above 100 against"
-                " it): check the sign, or drop it",
+                f"the data contradict the known sign of {some_of(found.contradicted, 30)} (odds above 100): check it,"
+                " or drop it",
                 DataWarning,
                 stacklevel=5,
             )

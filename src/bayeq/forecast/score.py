@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,6 +29,9 @@ from bayeq.states.roles import NEXT
 # A free run over fewer rows says nothing.
 LEAST_ROWS = 2
 
+# What moves less on the rows held out than this share of its motion on all rows hardly moves there.
+STILL = 0.05
+
 
 @dataclass(frozen=True, slots=True)
 class Scores:
@@ -46,12 +49,15 @@ class Scores:
         a run blew up.
     blew_up_at : float or None
         Time [s] at which a free run left any reasonable range.
+    still : tuple of str
+        States and targets that hardly move on these rows: errors over their spread say little.
     """
 
     rows: int
     one_step: Mapping[str, float]
     free_run: Mapping[str, float]
     blew_up_at: float | None = None
+    still: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         """Both scores in a line each."""
@@ -125,7 +131,17 @@ def held_out_scores(dynamics: Dynamics, motion: Motion) -> Scores | None:
         return None
     whole = rows_of(motion, "a free run")
     pieces = [rows for rows in divided(motion, whole)[1] if rows.n >= LEAST_ROWS]
-    return score_rows(dynamics, dynamics.mean, pieces, whole) if pieces else None
+    if not pieces:
+        return None
+    names = [name for name in (*dynamics.states, *dynamics.targets) if all(name in rows.samples for rows in whole)]
+    still = tuple(name for name in names if _spread(pieces, name) < STILL * _spread(whole, name))
+    return replace(score_rows(dynamics, dynamics.mean, pieces, whole), still=still)
+
+
+def _spread(pieces: Sequence[Rows], name: str) -> float:
+    values = np.concatenate([rows.samples[name] for rows in pieces])
+    present = values[np.isfinite(values)]
+    return float(present.std()) if len(present) else np.nan
 
 
 def score_records(

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.arrays import Floats
-from bayeq.errors import DataWarning, FileFormatError, InputError, RecordError, UnknownNameError, WordsError
+from bayeq.errors import DataWarning, FileFormatError, InputError, RecordError, UnknownNameError, WordsError, some_of
 from bayeq.records.names import clean_name, clean_names, gain_and_unit, is_time_name, time_unit, unit_in_name
 from bayeq.records.validate import SECONDS, as_column, as_time, check_time, in_seconds, time_from, trial_starts
 
@@ -97,9 +97,8 @@ class Headers:
         for i, text in enumerate(self.texts):
             alike.setdefault(clean_name(text, i + 1)[0], []).append(i)
         return [
-            f"{self.where}: columns {' and '.join(f'{i + 1} ({self.texts[i]!r})' for i in columns)} have the same name:"
-            f" they are read as {' and '.join(self.names[i] for i in columns)}; rename them, or check which one is"
-            " meant"
+            f"{self.where}: columns {' and '.join(str(i + 1) for i in columns)} have the same name: they are read as"
+            f" {some_of([self.names[i] for i in columns], 30)}; rename them"
             for columns in alike.values()
             if len(columns) > 1 and not set(columns).isdisjoint(rows)
         ]
@@ -450,7 +449,7 @@ def _place(data: Columns, column: int | None) -> str:
 
 
 def _warn_of_repeated(rows: NDArray[np.intp], where: str) -> None:
-    listed = ", ".join(str(row + 1) for row in rows[:5]) + (", ..." if len(rows) > 5 else "")
+    listed = ", ".join(str(row + 1) for row in rows[:2]) + (", ..." if len(rows) > 2 else "")
     counted = f"{len(rows)} rows repeat times" if len(rows) > 1 else "1 row repeats the time"
-    message = f"{where}: {counted} of the row before ({listed}): the first of each is kept; check the acquisition"
+    message = f"{where}: {counted} of the row before ({listed}): the first is kept; check the logger"
     warnings.warn(message, DataWarning, stacklevel=4)

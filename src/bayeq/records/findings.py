@@ -213,8 +213,8 @@ def _kinematics(record: Record, chain: Sequence[str | None]) -> list[Finding]:
             return found
         if link.fit < RECORDS.least_fit:
             message = (
-                f"{q} moves with {derivative_name(p, high - low)} but is not it: no sign and delay makes them fit"
-                f" (best: {100 * link.fit:.0f} %); check which channel is which"
+                f"{q} moves with {derivative_name(p, high - low)} but is not it, {100 * link.fit:.0f} % fit;"
+                " check which channel is which"
             )
             return [*found, Finding("inconsistent", (q, p), message, link.fit)]
         links.append(link)
@@ -306,7 +306,7 @@ def _gains(record: Record, measured: Sequence[tuple[int, str]], links: Sequence[
         between = stated[min(odd.k, odd.other) : max(odd.k, odd.other)]
         expected = math.prod(between) ** (1 if odd.k > odd.other else -1)
         gain = math.exp(odd.difference) * expected
-        by_unit = "" if expected == 1.0 else f", not {expected:.4g} times as their units say"
+        by_unit = "" if expected == 1.0 else f", by units {expected:.4g}"
         hint = _unit_hint(math.exp(odd.difference))
         message = f"{odd.channels[0]} is {gain:.4g} times {odd.against}{by_unit}: {hint}"
         found.append(Finding("gain", odd.channels, message, gain))
@@ -328,7 +328,7 @@ def _unit_hint(gain: float) -> str:
     for factor, meaning in UNIT_GAINS:
         if min(abs(math.log(gain / factor)), abs(math.log(gain * factor))) < NEAR:
             return f"that is about {meaning}; check its unit"
-    return "check its calibration, its unit and how it was filtered"
+    return "check calibration, unit and filter"
 
 
 def _delays(measured: Sequence[tuple[int, str]], links: Sequence[Relation], dt: float) -> list[Finding]:
@@ -337,8 +337,8 @@ def _delays(measured: Sequence[tuple[int, str]], links: Sequence[Relation], dt: 
     for odd in _odd_ones(measured, steps, errors, RECORDS.least_delay * dt):
         name, delay = odd.channels[0], odd.difference
         message = (
-            f"{name} {'lags behind' if delay > 0 else 'is ahead of'} {odd.against} by"
-            f" {abs(delay) / dt:.2g} samples: bayeq.correct_delay(record, {name!r}, {delay:.3g}) shifts it back"
+            f"{name} {'lags behind' if delay > 0 else 'is ahead of'} {odd.against} by {abs(delay) / dt:.2g} samples:"
+            f" use bayeq.correct_delay(record, {name!r}, {delay:.3g})"
         )
         found.append(Finding("delay", odd.channels, message, delay))
     return found
@@ -363,17 +363,15 @@ def _shifts(record: Record, p: str, q: str, order: int, link: Relation, frames: 
     significant = _student(RECORDS.significant, shift.freedom)
     found = []
     if abs(shift.offset_t) > significant and abs(shift.offset) > RECORDS.least_offset * spread:
+        size = 100.0 * abs(shift.offset) / spread
         message = (
-            f"{q} has an offset of {shift.offset:.3g}{unit} against {what}"
-            f" ({100.0 * abs(shift.offset) / spread:.2g} % of its deviation):"
-            f" use --remove-offset {q}={shift.offset:.4g}"
+            f"{q} is off {what} by {shift.offset:.3g}{unit} ({size:.2g} %): use --remove-offset {q}={shift.offset:.4g}"
         )
         found.append(Finding("offset", (q, p), message, shift.offset))
     if abs(shift.drift_t) > significant and abs(shift.drift) * span > 2.0 * RECORDS.least_offset * spread:
         message = (
-            f"{q} drifts by {shift.drift * span:.3g}{unit} over the record against {what}"
-            f" ({100.0 * abs(shift.drift) * span / spread:.2g} %):"
-            f" use bayeq.remove_offset(record, {q!r}, {shift.offset:.4g}, drift={shift.drift:.4g})"
+            f"{q} drifts by {shift.drift * span:.3g}{unit}:"
+            f" use bayeq.remove_offset(record, {q!r}, {shift.offset:.3g}, drift={shift.drift:.3g})"
         )
         found.append(Finding("drift", (q, p), message, shift.drift))
     return found
@@ -416,8 +414,8 @@ def _dropped(record: Record, name: str) -> list[Finding]:
     missing = int(whole[gaps].sum() - gaps.sum())
     first = int(np.flatnonzero(gaps)[0])
     message = (
-        f"{missing} sample{'s are' if missing > 1 else ' is'} missing: {int(gaps.sum())} of {len(steps)} steps of time"
-        f" are multiples of {np.median(steps):.4g} s, the first after row {first + 1}; check the acquisition"
+        f"{missing} sample{'s are' if missing > 1 else ' is'} missing: {int(gaps.sum())} of {len(steps)} steps are"
+        f" multiples of {np.median(steps):.4g} s, first after row {first + 1}; check the logger"
     )
     return [Finding("dropped", (name,), message, float(missing))]
 
@@ -512,8 +510,8 @@ def _clipped(name: str, values: Floats, shut: bool) -> list[Finding]:
         Finding(
             "clipping",
             (name,),
-            f"{name} is clipped: {one.samples} samples stand at its {one.which} value {one.level:.4g}, up to"
-            f" {one.longest} in a row; measure in a wider range",
+            f"{name} is clipped: {one.samples:d} samples at its {one.which} value {one.level:.4g},"
+            f" {one.longest:d} in a row; measure in a wider range",
             one.level,
         )
         for one in clipped_levels(values, shut)
@@ -542,10 +540,10 @@ def _repeated(name: str, values: Floats, shut: bool) -> list[Finding]:
     chance = np.count_nonzero(small[1:-1] & (steps[:-2] > moving) & (steps[2:] > moving)) / (2 * NEXT_LEVELS)
     if np.count_nonzero(sudden) < LEAST_REPEATS + chance + 5.0 * math.sqrt(chance):
         return []
-    count, places = int(np.sum(lengths[sudden] - 1)), int(np.count_nonzero(sudden))
+    count = int(np.sum(lengths[sudden] - 1))
     message = (
-        f"{name} repeats its last value {count} times in {places} places while it moves, the first in row"
-        f" {int(starts[sudden][0]) + 2}: samples were lost and filled; leave these rows out"
+        f"{name} repeats its last value {count} times in motion, first in row {int(starts[sudden][0]) + 2}:"
+        " samples were lost; leave them out"
     )
     return [Finding("repeated", (name,), message, float(count))]
 

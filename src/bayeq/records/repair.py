@@ -60,13 +60,14 @@ def split_at_gaps(records: Sequence[Record], channels: Sequence[str]) -> tuple[l
         if not ends or not used:
             out.append(record)
             continue
-        gaps = f"{record.name or 'record'}: gaps longer than {limit}, the first after row {ends[0]}:"
+        where = f"{record.name or 'record'}: " if len(records) > 1 else ""
+        gaps = f"{where}gaps longer than {limit}, first after row {ends[0]}:"
         left_out = record.n - sum(piece.n for piece in used)
         assert record.time is not None
         steps = np.diff(record.time)
         missing = float(np.sum(steps[np.array(ends) - 1]) / np.median(steps)) - len(ends)
         if left_out > missing:
-            messages.append(f"{gaps} bridged, the pieces between are too short; measure without gaps")
+            messages.append(f"{gaps} bridged; measure without gaps")
             out.append(record)
             continue
         rest = f"; {left_out} rows unused" if left_out else ""

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayeq.arrays import Bools, Floats
-from bayeq.errors import ConvergenceWarning, DataWarning, RecordError, WarningLog
+from bayeq.errors import ConvergenceWarning, DataWarning, RecordError, WarningLog, some_of
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import apart, typical_period, window_runs
 from bayeq.forecast.rows import Courses, Rows, divided, predicted_target, rows_of
@@ -179,8 +179,8 @@ def _doubts(found: OutputError, bound: Sequence[str], worse: Sequence[str]) -> W
     log = WarningLog()
     if found.excess > 1.0:
         log.warn(
-            "what free runs leave of the channels is correlated in time, as noise of a measured force or a missing term"
-            f" makes it: variances of the coefficients are {found.excess:.2g} times those of independent noise",
+            "what free runs leave is correlated in time: variances of coefficients are"
+            f" {found.excess:.2g} times those of white noise; add terms",
             DataWarning,
         )
     log.extend(worse, ConvergenceWarning)
@@ -192,14 +192,13 @@ def _doubts(found: OutputError, bound: Sequence[str], worse: Sequence[str]) -> W
     if found.contradicted:
         what = "bound" if any(" = " in one for one in bound) else "known sign"
         log.warn(
-            f"free runs contradict the {what} of {', '.join(bound)} (likelihood ratio above 100 against it): check"
-            " the directions of the channels, or drop the constraint",
+            f"free runs contradict the {what} of {some_of(bound, 20)} (odds above 100): check directions, or drop it",
             DataWarning,
         )
     for name, ratio in found.misfit.items():
         log.warn(
-            f"{name}: free runs leave {ratio:.2g} times the noise that was given: what they leave is taken instead;"
-            " check the noise given, or whether terms are missing",
+            f"{name}: free runs leave {ratio:.2g} times the noise that was given: theirs is taken; check it, or"
+            " add terms",
             DataWarning,
         )
     return log

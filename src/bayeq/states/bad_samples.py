@@ -150,12 +150,18 @@ def _message(name: str, kind: str, rows: Bools) -> str:
     return f"{name}: {samples} ({listed(rows)}: {100 * count / len(rows):.2g} %); {ADVICE[kind]}"
 
 
+# Rows are listed in this many characters.
+LISTED = 24
+
+
 def listed(rows: Bools, most: int = 3) -> str:
     """Rows, counted from 1, in words."""
     numbers = np.flatnonzero(rows) + 1
     stretches = _places(numbers, 1)
     texts = [f"{s[0]}" if len(s) == 1 else f"{s[0]} to {s[-1]}" for s in stretches[:most]]
-    more = ", ..." if len(stretches) > most else ""
+    while len(texts) > 1 and len(", ".join(texts)) > LISTED:
+        texts.pop()
+    more = ", ..." if len(stretches) > len(texts) else ""
     return f"row{'s' * (len(numbers) > 1)} {', '.join(texts)}{more}"
 
 

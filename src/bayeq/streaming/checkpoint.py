@@ -120,7 +120,7 @@ class Checkpoints:
             self.warned = True
             warnings.warn(
                 f"{error.filename or self.folder}: {error.strerror or error}: sums are not kept, the run goes on"
-                " without; make room or give another folder, or it starts over if it is stopped",
+                " without; make room or give another folder",
                 BayeqWarning,
                 stacklevel=2,
             )

@@ -154,8 +154,8 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
         empty = ", ".join(str(k) for k in np.flatnonzero(~self.ind_.any(axis=1)))
         if empty:
             warnings.warn(
-                f"no term is included in the equation of target {empty}, counted from 0: that derivative is zero, or"
-                " noise, or of terms that the library lacks; smooth it (KinematicDerivative), or add terms",
+                f"no term is included in the equation of target {empty}, counted from 0: smooth it"
+                " (KinematicDerivative), or add terms",
                 DataWarning,
                 stacklevel=2,
             )

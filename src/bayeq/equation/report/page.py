@@ -366,7 +366,7 @@ def _page(eq: Answer, records: Sequence[Record], digests: Mapping[str, str], com
     found, physical = own_parameters(eq), None
     if found is not None:
         law, also = law_in_symbols(eq, found), ", ".join(found.unexplained)
-        physical = {"law": law, "rows": tabled_parameters(found), "also": also}
+        physical = {"law": law, "rows": tabled_parameters(found), "also": also, "note": found.note}
     scripts = [_library(), START] if any(picture.live for picture in made) else []
     hashes = (hashlib.sha256(script.encode("utf-8")).digest() for script in scripts)
     allowed = " ".join(f"'sha256-{base64.b64encode(one).decode('ascii')}'" for one in hashes) or "'none'"

@@ -12,7 +12,7 @@ from datetime import date, datetime, time, timedelta
 from pathlib import Path
 from typing import Any
 
-from bayeq.errors import FileFormatError, UnknownNameError, needing
+from bayeq.errors import FileFormatError, UnknownNameError, needing, some_of
 from bayeq.records.columns import Columns, Names, Select
 from bayeq.records.formats import text
 from bayeq.records.formats.protocol import MOST_COLUMNS, check_claim, reading
@@ -52,8 +52,8 @@ def read_columns(path: Path, *, names: Names = None, chosen: Select | None = Non
     if not others:
         return found
     doubt = (
-        f"{where}: sheet {best!r} is read, which has the most rows of numbers ({titles[best]}), not"
-        f" {', '.join(others[:8])}; name a sheet to read another: --sheet NAME (sheet=)"
+        f"{where}: sheet {best!r} is read, of {titles[best]} rows, not {some_of(others, 20)}; give another:"
+        " --sheet NAME (sheet=)"
     )
     return replace(found, doubts=(*found.doubts, doubt))
 

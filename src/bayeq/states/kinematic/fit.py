@@ -282,8 +282,8 @@ class _Likelihood:
         uphill = np.clip(parameters + gradient, low, high) - parameters
         if np.abs(uphill).max(initial=0.0) > DOUBTFUL:
             warnings.warn(
-                f"noise levels of order {self.order} may be off: the search stopped short of the likelihood's maximum;"
-                " give them if they are known (noise=), or look for bad samples",
+                f"noise levels of order {self.order} may be off, the search stopped short: give them (noise=), or look"
+                " for bad samples",
                 ConvergenceWarning,
                 stacklevel=4,
             )
