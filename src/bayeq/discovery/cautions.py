@@ -102,7 +102,8 @@ def warn_of_changes(conserve: str, weights: Mapping[int, float], motion: Motion,
     found = _change(weights, motion)
     if found is not None and found.chance < CHANCE and found.slow > MATTERS * found.largest:
         log.warn(
-            f"the record contradicts that {conserve} does not change: it varies with a sd of {found.slow:.3g}; check units",
+            f"the record contradicts that {conserve} does not change: it varies with a sd of {found.slow:.3g};"
+            " check units",
             DataWarning,
         )
 
