@@ -20,6 +20,7 @@ from bayeq.equation.answer import HiddenState
 from bayeq.equation.report.page import repeat_command
 from bayeq.errors import BayeqError, ChainError, InputError
 from bayeq.expressions import Unknown
+from bayeq.likelihood.hidden import _peaks
 from bayeq.states import Roles, with_laws
 from bayeq.states.hidden import hidden_columns
 
@@ -229,3 +230,17 @@ def test_a_range_says_which_lag_is_which():
     assert eq.verdict.kind == "found"
     assert eq.constants[0].value == pytest.approx(0.5, rel=0.05)
     assert eq["ds"].shown_coef["T"] == pytest.approx(1.0 / 0.6, rel=0.05)
+
+
+def test_peaks_of_a_grid_are_sought_between_its_nodes():
+    place = np.linspace(0.0, 10.0, 11)
+
+    def score(at):  # a broad peak at 2.3, a higher one at 7.6, and what rises towards the end
+        return 50.0 * np.exp(-((at[0] - 2.3) ** 2)) + 60.0 * np.exp(-((at[0] - 7.6) ** 2)) + np.exp(6.0 * (at[0] - 9.3))
+
+    free = _peaks(score, [place], np.array([False]))
+    assert free[0] == (10.0,)
+    assert free[1][0] == pytest.approx(7.6, abs=0.02)
+    inner = _peaks(score, [place], np.array([True]))
+    assert [at[0] for at in inner] == pytest.approx([7.6, 2.3], abs=0.02)
+    assert _peaks(lambda at: -math.inf, [place], np.array([False])) == []

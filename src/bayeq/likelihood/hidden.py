@@ -34,8 +34,8 @@ STARTS, WORTH, TRIES, AT_END = 3, 0.5, 100, 0.99
 SHARES = (0.0, 0.3, 0.6, 0.9)
 
 # Springs of a hidden coordinate are sought within this factor of the ratio of acceleration and displacement of a
-# measured one, dampers within these of the root of that: a stiffer spring makes its force an acceleration.
-STIFFNESS, DAMPING, DAMPERS = 30.0, (0.01, 1.0), 4
+# measured one, dampers within these of the root of that, at DAMPERS nodes, springs at FEWEST or more.
+STIFFNESS, DAMPING, DAMPERS, FEWEST = 30.0, (0.01, 1.0), 4, 6
 
 # A relaxation is sought from this share of the sampling interval to this many times the record.
 FASTEST, SLOWEST = 0.5, 2.0
@@ -175,7 +175,7 @@ def with_first_paths(motion: Motion, roles: Roles, terms: Sequence[Expression], 
     (chain,) = roles.hidden
     seen = seen_in(chain, roles, terms, allowed)
     if not seen[0].scaled:
-        return _on_springs(motion, roles, terms, allowed, roles.chains[seen[0].equation])
+        return _on_springs(motion, roles, terms, allowed)
     gains = (*motion.unit_gains[: len(roles.chains) - 1], np.ones(chain.order + 1))
     bare = replace(motion, roles=roles, unit_gains=gains)
     rest = _rest(bare, terms, allowed, seen[0].equation)
@@ -183,11 +183,9 @@ def with_first_paths(motion: Motion, roles: Roles, terms: Sequence[Expression], 
     return [_as_factor(bare, terms, allowed, seen[0], rest, share) for share in shares]
 
 
-def _on_springs(
-    motion: Motion, roles: Roles, terms: Sequence[Expression], allowed: Bools, beside: Chain
-) -> list[Motion]:
+def _on_springs(motion: Motion, roles: Roles, terms: Sequence[Expression], allowed: Bools) -> list[Motion]:
     """The motion with paths of a coordinate on springs, and on dampers alike, by which other equations explain most."""
-    chain, rows = roles.chains[-1], motion.train
+    chain, beside, rows = roles.chains[-1], max(roles.seen.chains, key=lambda one: one.order), motion.train
     sizes = [np.concatenate([one.columns[name] for one in rows]).std() for name in (beside.target, beside.names[0])]
     pace = float(sizes[0] / sizes[1]) ** (1.0 / beside.order)
     damper = Unknown("damper", *(pace * factor for factor in DAMPING))
@@ -220,13 +218,14 @@ def _on_springs(
             return -math.inf
 
     springs = np.array([one is not damper for one in constants])
-    nodes = max(6, int((GRID / DAMPERS) ** (1.0 / max(springs.sum(), 1))))
+    nodes = max(FEWEST, int((GRID / DAMPERS) ** (1.0 / max(springs.sum(), 1))))
     places = [
         np.linspace(math.log(one.low), math.log(one.high), nodes if own else DAMPERS)
         for one, own in zip(constants, springs, strict=True)
     ]
     # at the ends of springs a hidden mass is none, and its force any acceleration
-    return [replace(with_values(at), roles=roles) for at in _peaks(score, places, springs)]
+    found = _peaks(score, places, springs) or [tuple(float(place.mean()) for place in places)]
+    return [replace(with_values(at), roles=roles) for at in found]
 
 
 class _Rest(NamedTuple):

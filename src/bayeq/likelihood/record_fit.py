@@ -479,17 +479,13 @@ def _fitted(
 
 def as_likely(task: Task, fitted: Fitted, others: Sequence[tuple[Task, Fitted]]) -> tuple[Mapping[str, float], ...]:
     """Constants of the laws of hidden states by which other fits are nearly as likely."""
+    names = constants_of([chain.law for chain in task.layout.roles.hidden if chain.law is not None]).keys()
     now, found = constants_of(task.layout.terms), []
     for there, other in others:
-        values = {name: one.value for name, one in constants_of(there.layout.terms).items()}
-        apart = max(
-            (
-                abs(to_scale(now[name], value) - to_scale(now[name], now[name].value)) / extent(now[name])
-                for name, value in values.items()
-            ),
-            default=0.0,
-        )
-        if other.evidence > fitted.evidence - CLEARLY and apart > APART:
+        values = {name: constants_of(there.layout.terms)[name].value for name in names}
+        places = [(now[name], value) for name, value in values.items()]
+        apart = [abs(to_scale(one, value) - to_scale(one, one.value)) / extent(one) for one, value in places]
+        if other.evidence > fitted.evidence - CLEARLY and max(apart, default=0.0) > APART:
             found.append(values)
     return tuple(found)
 
