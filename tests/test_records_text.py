@@ -321,7 +321,7 @@ def test_measured_records() -> None:
     assert rec.time is not None
     assert rec.time[0] == 0.033
     names = "trial t o1 o2 w1 w2 w1 w2 a1 a2"
-    with pytest.warns(DataWarning, match="columns 5 .* and 7 .*w1 and w1_2|columns 6 .* and 8 .*w2 and w2_2"):
+    with pytest.warns(DataWarning, match="columns 5 and 7 .*as w1, w1_2|columns 6 and 8 .*as w2, w2_2"):
         trials = read(folder / "real_double_pend_h_1.txt", names=names, group="trial")
     assert [trial.n for trial in trials] == [819, 701]
     assert trials[0].names == ("o1", "o2", "w1", "w2", "w1_2", "w2_2", "a1", "a2")

@@ -26,7 +26,7 @@ def fitted(record):
 
 @pytest.fixture(scope="module")
 def record():
-    return bq.simulate("duffing", n=12_000, seed=11)
+    return bq.simulate("duffing", n=12_000, seed=15)
 
 
 @pytest.fixture(scope="module")

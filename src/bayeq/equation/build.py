@@ -300,8 +300,7 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
     for name, (end, free, sds) in beyond.items():
         relation, by = "<=" if free > end else ">=", f"{sds:.2g}" if sds < 10.0 else f"{sds:.0f}"
         log.warn(
-            f"{target}: the record contradicts {name} {relation} {end:.4g} by {by} sd (free: {free:.4g}): check"
-            " units, or drop it",
+            f"{target}: the record contradicts {name} {relation} {end:.4g} by {by} sd (free: {free:.4g}): check units",
             DataWarning,
         )
     if equation.verdict.kind == "none":

@@ -348,10 +348,7 @@ def assemble(
         data = replace(data, values=[x * gains[i] if i in gains else x for i, x in enumerate(data.values)])
     seconds, kept_units = _time(data, time_column, known_units)
     if seconds is not None and group is None and _ends_in_a_summary(seconds):
-        message = (
-            f"{_place(data, time_column)}: time goes back in row {n}, the last: it is left out, as a summary of the"
-            " others; take it out of the file if it is one, else check the clock"
-        )
+        message = f"{_place(data, time_column)}: time goes back in row {n}, the last: it is left out; check the clock"
         warnings.warn(message, DataWarning, stacklevel=3)
         n, stops, seconds = n - 1, [n - 1], seconds[:-1]
         data = replace(data, values=[values[:-1] for values in data.values])

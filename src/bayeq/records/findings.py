@@ -237,11 +237,8 @@ def _exchanged(record: Record, p: str, q: str, order: int, link: Relation, frame
         return []
     if back.least_gain * link.most_gain < link.least_gain * back.most_gain:  # the gain is less the same
         return []
-    units = [f"{name}={record.units[other]}" for name, other in ((p, q), (q, p)) if other in record.units]
-    given = f" and --units {','.join(units)}" if len(units) == 2 else ""
     message = (
         f"{p} is {back.gain:.3g} times the {'second ' * (order == 2)}derivative of {q}: are the columns exchanged?"
-        f" If so, use {q} in the place of {p}, {p} in that of {q}{given}"
     )
     return [Finding("exchanged", (p, q), message, back.gain)]
 
