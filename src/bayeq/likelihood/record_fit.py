@@ -308,6 +308,8 @@ class RecordFit:
             except np.linalg.LinAlgError:  # rows held out that the motion does not stay near
                 return motion
         smooth = [path + found.deviation for path, found in zip(state.paths, smoothed, strict=True)]
+        if not all(np.isfinite(path).all() for path in smooth):  # the same
+            return motion
         if hidden:
             numbers = {name: layout.names.index(name) for name in hidden}
             motion = with_paths(motion, [{name: path[:, i] for name, i in numbers.items()} for path in smooth])
