@@ -17,7 +17,7 @@ _NAMES = {
     "equation.equation": "Equation",
     "equation.equations": "Equations",
     "equation.load": "load",
-    "equation.physical": "PhysicalParameters",
+    "equation.quantities": "PhysicalParameters",
     "equation.sensitivity": "PriorSensitivity",
     "equation.schema": "json_schema",
     "equation.size_path": "ParsimonyPath",
@@ -46,7 +46,7 @@ if TYPE_CHECKING:  # the same names for type checkers; a test compares the two l
     from bayeq.equation.equation import Equation as Equation
     from bayeq.equation.equations import Equations as Equations
     from bayeq.equation.load import load as load
-    from bayeq.equation.physical import PhysicalParameters as PhysicalParameters
+    from bayeq.equation.quantities import PhysicalParameters as PhysicalParameters
     from bayeq.equation.sensitivity import PriorSensitivity as PriorSensitivity
     from bayeq.equation.schema import json_schema as json_schema
     from bayeq.equation.size_path import ParsimonyPath as ParsimonyPath

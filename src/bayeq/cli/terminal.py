@@ -23,7 +23,7 @@ from bayeq.posix import address_space
 
 if TYPE_CHECKING:
     from bayeq.equation.equations import Equations
-    from bayeq.equation.physical import PhysicalParameters
+    from bayeq.equation.quantities import PhysicalParameters
     from bayeq.records import Record
     from bayeq.records.io import FileState
 

@@ -11,7 +11,8 @@ import numpy as np
 from bayeq.equation import text
 from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation
-from bayeq.equation.physical import PhysicalParameters, Quantity, forces_of, own_parameters
+from bayeq.equation.physical import forces_of, own_parameters
+from bayeq.equation.quantities import PhysicalParameters, Quantity
 from bayeq.equation.written import moment
 from bayeq.errors import printable
 from bayeq.figures.runs import draw_states

@@ -26,7 +26,6 @@ from bayeq.equation.verdict import Verdict
 from bayeq.errors import InputError
 from bayeq.export.functions import Uncertainty, sum_in_latex
 from bayeq.expressions import Evaluator, Expression, to_sympy
-from bayeq.expressions.symbolic import step_latex
 from bayeq.forecast.dynamics import Law
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.posterior import Posterior
@@ -210,19 +209,10 @@ class Equation:
 
     @property
     def at_ends(self) -> tuple[str, ...]:
-        """What is to be said of constants at the ends of the ranges in which they were sought, and of forms without a
-        likelihood.
-        """
-        units = self.constant_units
+        """What is to be said of constants at the ends of their ranges, and of forms without a likelihood."""
+        units, p = self.constant_units, self.posterior
         ends = (text for one in self.shown_constants for text in written.at_end(one, units.get(one.name, "")))
-        return *ends, *map(written.left_out_form, self._not_compared)
-
-    @property
-    def _not_compared(self) -> tuple[str, ...]:
-        """Candidates of this equation that are members of an either-or of which the likelihood was not finite."""
-        pip = dict(zip(self.posterior.names, self.posterior.pip.tolist(), strict=True))
-        own = [(choice, found) for choice, found in self.forms.items() if any(pip.get(name) for name in found)]
-        return tuple(name for choice, found in own for name in choice.split(" | ") if name in pip and name not in found)
+        return *ends, *written.left_out_forms(self.forms, dict(zip(p.names, p.pip.tolist(), strict=True)))
 
     @property
     def shown(self) -> tuple[str, ...]:
@@ -452,15 +442,7 @@ class Equation:
 
         if uncertainty not in get_args(Uncertainty):
             raise InputError(f"uncertainty must be one of {', '.join(get_args(Uncertainty))}, got {uncertainty!r}")
-        symbols: dict[str, str] = {}
-        for chain in (*chains, self.chain):
-            base = sympy.latex(sympy.Symbol(chain.names[0]))
-            dots = [base, rf"\dot{{{base}}}", rf"\ddot{{{base}}}", rf"\dddot{{{base}}}", rf"\ddddot{{{base}}}"]
-            symbols |= zip(chain.names, dots, strict=False)
-        if self.chain.discrete:
-            symbols = {
-                name: step_latex(name) for name in {self.target, *(n for term in self.terms for n in term.names)}
-            }
+        symbols = written.in_latex((*chains, self.chain), {self.target}.union(*(term.names for term in self.terms)))
         names = {sympy.Symbol(name): text for name, text in symbols.items()}
         if uncertainty == "none" or self.chain.stated:
             right = sympy.latex(self._right_hand_side(rounded=True), symbol_names=names)
@@ -480,8 +462,8 @@ class Equation:
             return to_sympy(self.chain.law.named() if rounded else self.chain.law)
         total = sympy.Integer(0)
         for value, sd, term in self.summands:
-            size = float(written.round_to(value, sd)) if rounded else value
-            number = sympy.Integer(size) if rounded and abs(size) == 1.0 and term else sympy.Float(size)
+            number = sympy.Float(float(written.round_to(value, sd)) if rounded else value)
+            number = sympy.Integer(number) if rounded and abs(number) == 1.0 and term else number
             total += number if term is None else number * to_sympy(term.named() if rounded else term)
         return total
 

@@ -24,7 +24,7 @@ from bayeq.states.prepare import in_samples, numbered
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from bayeq.equation.physical import PhysicalParameters
+    from bayeq.equation.quantities import PhysicalParameters
     from bayeq.forecast.free_run import Forecast
     from bayeq.ode.rk4 import Interpolation
     from bayeq.plan.designs import Amplitude

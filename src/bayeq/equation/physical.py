@@ -15,8 +15,7 @@ coordinate alone is its force, ``1/m`` its coefficient; other masses follow from
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -24,20 +23,18 @@ import numpy as np
 from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
 from bayeq.equation.answer import Answer
-from bayeq.equation.written import OscillatorUnits, quotient_unit, with_interval
+from bayeq.equation.quantities import Mode, PhysicalParameters, Quantity, quantity
+from bayeq.equation.written import OscillatorUnits, quotient_unit
 from bayeq.errors import InputError, UnknownNameError, some_of, whole_number
 from bayeq.expressions import Binary, Expression, Node, Number, Symbol, parse
 from bayeq.expressions.functions import TIME
 from bayeq.figures.style import named
 from bayeq.forecast.dynamics import Dynamics, Law
 from bayeq.likelihood.signs import jumps_of
-from bayeq.markup import aligned
 from bayeq.numerics.distributions import Z95
 from bayeq.states import Chain
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from bayeq.equation.equation import Equation
 
 # Highest power of the displacement that is a stiffness by a name of its own.
@@ -61,106 +58,6 @@ DRAWS = 2000
 # Draws whose eigenvalues are taken, of one coordinate, and the least share of them that must have as many modes as the
 # mean.
 MOST_DRAWS, LEAST_SHARE = 4000, 0.5
-
-
-@dataclass(frozen=True, slots=True)
-class Quantity:
-    """A number with its uncertainty.
-
-    Attributes
-    ----------
-    symbol, meaning : str
-        ``k3``, "cubic stiffness".
-    mean, sd : float
-        Of the draws.
-    low, high : float
-        95 % interval: their 2.5 % and 97.5 % quantiles.
-    unit : str or None
-        None where the units of the channels are not known; empty for a pure number.
-    """
-
-    symbol: str
-    meaning: str
-    mean: float
-    sd: float
-    low: float
-    high: float
-    unit: str | None
-
-    @property
-    def cells(self) -> tuple[str, str, str, str]:
-        """Mean, standard deviation, interval and unit as text."""
-        return *with_interval(self.mean, self.sd, (self.low, self.high)), self.unit or ""
-
-
-@dataclass(frozen=True, slots=True)
-class Mode:
-    """A mode of small motion.
-
-    Attributes
-    ----------
-    frequency, damping_ratio : Quantity
-        The natural frequency [Hz], and the damping ratio.
-    shape : mapping of str to float
-        Displacements over that of the coordinate that moves most, by their names.
-    """
-
-    frequency: Quantity
-    damping_ratio: Quantity
-    shape: Mapping[str, float]
-
-
-@dataclass(frozen=True, slots=True)
-class PhysicalParameters:
-    """Parameters of an oscillator; iterate over them, or take one by its symbol.
-
-    Attributes
-    ----------
-    quantities : tuple of Quantity
-        Natural frequency ``omega_n`` [rad/s] and ``f_n`` [Hz], damping ratio ``zeta``, then mass, damping and
-        stiffnesses; per unit of mass (``k/m``) where the mass is not known.
-    unexplained : tuple of str
-        Included terms that have no place among them.
-    modes : tuple of Mode
-        The slowest first.
-    note : str
-        Why there are no modes, where terms of the equations forbid them.
-    """
-
-    quantities: tuple[Quantity, ...]
-    unexplained: tuple[str, ...] = ()
-    modes: tuple[Mode, ...] = ()
-    note: str = ""
-
-    def __iter__(self) -> Iterator[Quantity]:
-        return iter(self.quantities)
-
-    def __len__(self) -> int:
-        return len(self.quantities)
-
-    def __getitem__(self, symbol: str) -> Quantity:
-        for quantity in self.quantities:
-            if quantity.symbol == symbol:
-                return quantity
-        raise UnknownNameError("parameter", symbol, [q.symbol for q in self.quantities])
-
-    def table(self) -> pd.DataFrame:
-        """Columns symbol, meaning, mean, sd, ci_low, ci_high, unit."""
-        import pandas as pd
-
-        return pd.DataFrame(
-            [(q.symbol, q.meaning, q.mean, q.sd, q.low, q.high, q.unit) for q in self.quantities],
-            columns=["symbol", "meaning", "mean", "sd", "ci_low", "ci_high", "unit"],
-        )
-
-    def __str__(self) -> str:
-        """A line per parameter."""
-        header = ("parameter", "mean", "sd", "95 % interval", "unit", "")
-        rows = [header, *((q.symbol, *q.cells, q.meaning) for q in self.quantities)]
-        lines = aligned(rows, left=(0, 4, 5)) if self.quantities else []
-        if self.unexplained:
-            lines.append(f"also in the equation: {', '.join(self.unexplained)}")
-        return "\n".join([*lines, *([self.note] if self.note else [])])
 
 
 def own_parameters(eq: Answer) -> PhysicalParameters | None:
@@ -427,12 +324,6 @@ def _modal(theta: Mapping[str, Floats], without: Sequence[str]) -> list[Quantity
     if "c" in theta:
         out.append(quantity("zeta", f"damping ratio{but}", -theta["c"] / (2.0 * omega), ""))
     return out
-
-
-def quantity(symbol: str, meaning: str, values: Floats, unit: str | None) -> Quantity:
-    """Of draws."""
-    low, high = np.nanquantile(values, [0.025, 0.975])
-    return Quantity(symbol, meaning, float(np.nanmean(values)), float(np.nanstd(values)), float(low), float(high), unit)
 
 
 def system_parameters(

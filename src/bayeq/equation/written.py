@@ -7,16 +7,17 @@ are in SI units where those of the channels are known.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from typing import Any
 
-from bayeq.dictionary.ranges import ConstantEstimate, beside
+from bayeq.dictionary.ranges import ConstantEstimate, Forms, beside
 from bayeq.errors import InputError
 from bayeq.expressions import Binary, Call, Constant, Expression, Negate, Node, Number, Symbol, Unknown
 from bayeq.expressions.functions import TIME
 from bayeq.expressions.nodes import arguments_of, with_arguments
+from bayeq.expressions.symbolic import step_latex
 from bayeq.records.names import Unit, derivative_ratio, in_si, multiply_units, parse_unit, written_unit
 from bayeq.states import Chain
 
@@ -312,9 +313,14 @@ def at_end(one: ConstantEstimate, unit: str = "") -> Iterator[str]:
         yield f"the interval of {one.name} reaches the {' and the '.join(ends)} end of its range {shown}: {cure}"
 
 
-def left_out_form(term: str) -> str:
-    """What to say of a member of an either-or that was not compared with the others."""
-    return f"{term} is left out, not finite beside the motion: write abs() in its powers and roots"
+def left_out_forms(forms: Forms, pip: Mapping[str, float]) -> Iterator[str]:
+    """What to say of members of the either-ors of an equation that were not compared with the others."""
+    for choice, found in forms.items():
+        left = [name for name in choice.split(" | ") if name in pip and name not in found]
+        if any(pip.get(name) for name in found):
+            yield from (
+                f"{one} is left out, not finite beside the motion: write abs() in its powers and roots" for one in left
+            )
 
 
 def row_of(one: ConstantEstimate, unit: str | None) -> dict[str, Any]:
@@ -376,3 +382,16 @@ def finite(value: Any) -> Any:
     if isinstance(value, list):
         return [finite(one) for one in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def in_latex(chains: Sequence[Chain], names: Iterable[str]) -> dict[str, str]:
+    """Coordinates and their derivatives in LaTeX, derivatives as dots; of maps the names with their steps."""
+    import sympy
+
+    if chains[-1].discrete:
+        return {name: step_latex(name) for name in names}
+    symbols: dict[str, str] = {}
+    for chain in chains:
+        base = sympy.latex(sympy.Symbol(chain.names[0]))
+        symbols |= {name: rf"\{'d' * k}ot{{{base}}}" if k else base for k, name in enumerate(chain.names)}
+    return symbols

@@ -1,0 +1,123 @@
+"""Physical parameters as they are shown: a value each, with its interval and unit, and modes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bayeq.arrays import Floats
+from bayeq.equation.written import with_interval
+from bayeq.errors import UnknownNameError
+from bayeq.markup import aligned
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """A number with its uncertainty.
+
+    Attributes
+    ----------
+    symbol, meaning : str
+        ``k3``, "cubic stiffness".
+    mean, sd : float
+        Of the draws.
+    low, high : float
+        95 % interval: their 2.5 % and 97.5 % quantiles.
+    unit : str or None
+        None where the units of the channels are not known; empty for a pure number.
+    """
+
+    symbol: str
+    meaning: str
+    mean: float
+    sd: float
+    low: float
+    high: float
+    unit: str | None
+
+    @property
+    def cells(self) -> tuple[str, str, str, str]:
+        """Mean, standard deviation, interval and unit as text."""
+        return *with_interval(self.mean, self.sd, (self.low, self.high)), self.unit or ""
+
+
+@dataclass(frozen=True, slots=True)
+class Mode:
+    """A mode of small motion.
+
+    Attributes
+    ----------
+    frequency, damping_ratio : Quantity
+        The natural frequency [Hz], and the damping ratio.
+    shape : mapping of str to float
+        Displacements over that of the coordinate that moves most, by their names.
+    """
+
+    frequency: Quantity
+    damping_ratio: Quantity
+    shape: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class PhysicalParameters:
+    """Parameters of an oscillator; iterate over them, or take one by its symbol.
+
+    Attributes
+    ----------
+    quantities : tuple of Quantity
+        Natural frequency ``omega_n`` [rad/s] and ``f_n`` [Hz], damping ratio ``zeta``, then mass, damping and
+        stiffnesses; per unit of mass (``k/m``) where the mass is not known.
+    unexplained : tuple of str
+        Included terms that have no place among them.
+    modes : tuple of Mode
+        The slowest first.
+    note : str
+        Why there are no modes, where terms of the equations forbid them.
+    """
+
+    quantities: tuple[Quantity, ...]
+    unexplained: tuple[str, ...] = ()
+    modes: tuple[Mode, ...] = ()
+    note: str = ""
+
+    def __iter__(self) -> Iterator[Quantity]:
+        return iter(self.quantities)
+
+    def __len__(self) -> int:
+        return len(self.quantities)
+
+    def __getitem__(self, symbol: str) -> Quantity:
+        for quantity in self.quantities:
+            if quantity.symbol == symbol:
+                return quantity
+        raise UnknownNameError("parameter", symbol, [q.symbol for q in self.quantities])
+
+    def table(self) -> pd.DataFrame:
+        """Columns symbol, meaning, mean, sd, ci_low, ci_high, unit."""
+        import pandas as pd
+
+        return pd.DataFrame(
+            [(q.symbol, q.meaning, q.mean, q.sd, q.low, q.high, q.unit) for q in self.quantities],
+            columns=["symbol", "meaning", "mean", "sd", "ci_low", "ci_high", "unit"],
+        )
+
+    def __str__(self) -> str:
+        """A line per parameter."""
+        header = ("parameter", "mean", "sd", "95 % interval", "unit", "")
+        rows = [header, *((q.symbol, *q.cells, q.meaning) for q in self.quantities)]
+        lines = aligned(rows, left=(0, 4, 5)) if self.quantities else []
+        if self.unexplained:
+            lines.append(f"also in the equation: {', '.join(self.unexplained)}")
+        return "\n".join([*lines, *([self.note] if self.note else [])])
+
+
+def quantity(symbol: str, meaning: str, values: Floats, unit: str | None) -> Quantity:
+    """Of draws."""
+    low, high = np.nanquantile(values, [0.025, 0.975])
+    return Quantity(symbol, meaning, float(np.nanmean(values)), float(np.nanstd(values)), float(low), float(high), unit)
