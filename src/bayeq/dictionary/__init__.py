@@ -1,6 +1,6 @@
 """Dictionaries: families of candidate terms and their evaluation."""
 
-from bayeq.dictionary.build import FAMILIES, Family, build_dictionaries, build_dictionary, evaluate_terms
+from bayeq.dictionary.build import FAMILIES, Family, build_dictionaries, build_dictionary, evaluate_terms, slopes_of
 from bayeq.dictionary.specification import Specification, Variables, of_equations, written
 
 __all__ = [
@@ -12,5 +12,6 @@ __all__ = [
     "build_dictionary",
     "evaluate_terms",
     "of_equations",
+    "slopes_of",
     "written",
 ]

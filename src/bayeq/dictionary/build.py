@@ -363,3 +363,18 @@ def evaluate_terms(terms: Sequence[Expression], columns: Mapping[str, Floats]) -
     for row, term in zip(out, terms, strict=True):
         row[:] = evaluate(term)
     return out.T
+
+
+def slopes_of(term: Expression, states: Sequence[str]) -> Floats | None:
+    """Derivatives of a term that is linear in the states, beside what else may be added there; None of another."""
+    if not term.names & set(states):
+        return None
+    rng, size = np.random.default_rng(0), len(states)
+    points = np.vstack([np.zeros(size), np.eye(size), rng.standard_normal((8, size))])
+    columns = {name: rng.standard_normal(len(points)) for name in sorted(term.names - set(states))}
+    moved, at_zero = ({**columns, **dict(zip(states, part.T, strict=True))} for part in (points, 0.0 * points))
+    with np.errstate(all="ignore"):
+        values = (evaluate_terms([term], moved) - evaluate_terms([term], at_zero))[:, 0]
+    slope = values[1 : size + 1]
+    same = np.allclose(points @ slope, values, rtol=1e-9, atol=1e-9 * float(np.abs(slope).max(initial=0.0)))
+    return np.asarray(slope) if same and np.isfinite(values).all() else None

@@ -22,6 +22,7 @@ from bayeq.records import Record
 from bayeq.regression.constraints import Constraints
 from bayeq.regression.design import Design, build_design
 from bayeq.states import Motion, Roles
+from bayeq.states.prepare import numbered
 
 
 def dictionaries_of(
@@ -151,8 +152,5 @@ def with_differences(
             chosen.append(known[name])
     found = list(terms)
     found += [Expression(Binary("*", terms[j].tree, Symbol(name))) for name in names for j in chosen]
-    numbered = [
-        record.with_channels({name: np.full(record.n, float(name == f"run{k}")) for name in names})
-        for k, record in enumerate(records, 1)
-    ]
-    return numbered, tuple(names), tuple(found), np.hstack([allowed, *[allowed[:, chosen]] * len(names)])
+    wide = np.hstack([allowed, *[allowed[:, chosen]] * len(names)])
+    return numbered(records, names), tuple(names), tuple(found), wide

@@ -249,7 +249,7 @@ class Answer:
         ]
         return tuple(dict.fromkeys(Expression(tree.left).text for tree in numbered))
 
-    @property
+    @cached_property
     def numbers(self) -> tuple[str, ...]:
         """Inputs that number records whose coefficients differ, 1 in one of them and 0 in others: run2, run3."""
         return tuple(one.name for one in self._numbers) if self.differing else ()

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from bayeq.dictionary import slopes_of
 from bayeq.equation.answer import with_shown
 from bayeq.equation.equation import Equation, RunnerUp
 from bayeq.equation.verdict import LEAST_SHOWN, Verdict, doubted, judge, noise_share, window_errors
@@ -19,7 +20,6 @@ from bayeq.errors import (
     WarningLog,
     some_of,
 )
-from bayeq.expressions import Evaluator, Expression
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.score import Scores, held_out_scores
 from bayeq.inference.collapsed.path import model_log_posterior, partial_shares
@@ -187,27 +187,19 @@ def exchangeable(equation: Equation, equations: Sequence[Equation]) -> str | Non
     state, own = equation.chain.names[0], equation.shown_coef
     if equation.chain.order != 1 or equation.chain.hidden or state not in own:
         return None
+    moving = {name for one in equations for name in one.chain.names}
     for other in equations:
         hidden, law, constants = other.chain.names[0], other.chain.law, other.constants
-        if law is None or other.chain.found or len(constants) != 1 or set(own) != {state, hidden}:
+        alone = set(own) == {state, hidden} and law is not None and law.names & moving == {hidden}
+        if law is None or other.chain.found or len(constants) != 1 or not alone:
             continue
         [constant] = law.unknowns.values()
         values = constants[0].value, constant.low, constant.high
-        slopes = [_slope(law.with_unknowns({constant.name: replace(constant, value=x)}), hidden) for x in values]
-        rates = [one for one in slopes if one is not None]
-        others = law.names - {hidden, *(name for one in equations for name in one.chain.names)}
-        if len(rates) == 3 and law.names == others | {hidden} and min(rates[1:]) < own[state] < max(rates[1:]):
+        laws = [law.with_unknowns({constant.name: replace(constant, value=x)}) for x in values]
+        rates = [float(slope[0]) for one in laws if (slope := slopes_of(one, [hidden])) is not None]
+        if len(rates) == 3 and min(rates[1:]) < own[state] < max(rates[1:]):
             return f"{state} and {hidden} may change places: rates {-own[state]:.4g} and {-rates[0]:.4g} /s, as likely"
     return None
-
-
-def _slope(term: Expression, name: str) -> float | None:
-    """What a term changes by per unit of a name; None where that is not the same everywhere."""
-    others = np.random.default_rng(0).uniform(0.5, 1.5, (len(term.names), 2))
-    columns = {other: np.repeat(values, 3) for other, values in zip(sorted(term.names), others, strict=True)}
-    at = np.broadcast_to(Evaluator({**columns, name: np.tile(np.arange(3.0), 2)})(term), 6)
-    slopes = np.diff(at.reshape(2, 3)).ravel()
-    return float(slopes[0]) if np.isfinite(slopes).all() and np.ptp(slopes) <= 1e-9 * abs(slopes[0]) else None
 
 
 def _doubted(equation: Equation, selection: Selection, tolerance: float, again: Repeating | None) -> Verdict:

@@ -21,16 +21,16 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from bayeq.arrays import Floats
-from bayeq.dictionary import evaluate_terms
+from bayeq.dictionary import evaluate_terms, slopes_of
 from bayeq.equation.answer import Answer
 from bayeq.equation.quantities import Mode, PhysicalParameters, Quantity, quantity
 from bayeq.equation.written import OscillatorUnits, quotient_unit
 from bayeq.errors import InputError, UnknownNameError, some_of, whole_number
 from bayeq.expressions import Binary, Expression, Node, Number, Symbol, parse
 from bayeq.expressions.functions import TIME
+from bayeq.expressions.nodes import jumps_of
 from bayeq.figures.style import named
 from bayeq.forecast.dynamics import Dynamics, Law
-from bayeq.likelihood.signs import jumps_of
 from bayeq.numerics.distributions import Z95
 from bayeq.states import Chain
 
@@ -258,7 +258,7 @@ def _read(law: Law, draws: int, seed: int, span: tuple[float, float] | None) -> 
     x, v = chain.states
     constant, coefficients = drawn_coefficients(law, count, np.random.default_rng(seed))
     for term, values in list(coefficients.items()):  # x - u holds x
-        slope = _slope(term, chain.states) if len(term.names) > 1 else None
+        slope = slopes_of(term, chain.states) if len(term.names) > 1 else None
         for name, part in zip(chain.states, (0.0, 0.0) if slope is None else slope, strict=True):
             if part:
                 coefficients[parse(name)] = coefficients.get(parse(name), 0.0) + part * values
@@ -346,7 +346,7 @@ def system_parameters(
     rng, others = np.random.default_rng(seed), [*inputs, TIME, *(law.chain.target for law in laws)]
     for i, (law, scale) in enumerate(zip(laws, scales, strict=True)):
         for term, drawn in drawn_coefficients(law, count, rng)[1].items():
-            slope = _slope(term, states)
+            slope = slopes_of(term, states)
             tangent = _tangent(term, states) if slope is None and term.names <= set(states[:n]) else slope
             if tangent is not None:
                 linear[:, i] += drawn[:, None] * tangent * per_state * scale.per_length / scale.acceleration
@@ -367,21 +367,6 @@ def _names(law: Law) -> set[str]:
     return {name for term, kept in zip(law.terms, law.posterior.support, strict=True) if kept for name in term.names}
 
 
-def _slope(term: Expression, states: Sequence[str]) -> Floats | None:
-    """Derivatives of a term that is linear in the states, beside what else may be added there; None of another."""
-    if not term.names & set(states):
-        return None
-    rng, size = np.random.default_rng(0), len(states)
-    points = np.vstack([np.zeros(size), np.eye(size), rng.standard_normal((8, size))])
-    columns = {name: rng.standard_normal(len(points)) for name in sorted(term.names - set(states))}
-    moved, at_zero = ({**columns, **dict(zip(states, part.T, strict=True))} for part in (points, 0.0 * points))
-    with np.errstate(all="ignore"):
-        values = (evaluate_terms([term], moved) - evaluate_terms([term], at_zero))[:, 0]
-    slope = values[1 : size + 1]
-    same = np.allclose(points @ slope, values, rtol=1e-9, atol=1e-9 * float(np.abs(slope).max(initial=0.0)))
-    return np.asarray(slope) if same and np.isfinite(values).all() else None
-
-
 def _tangent(term: Expression, states: Sequence[str]) -> Floats | None:
     """Derivatives of a term of displacements at zero, by differences that are exact for powers; None if not finite."""
     steps = np.eye(len(states))
@@ -395,7 +380,7 @@ def _tangent(term: Expression, states: Sequence[str]) -> Floats | None:
 
 def _is_mixed(term: Expression, states: Sequence[str], others: Sequence[str]) -> bool:
     """Whether the derivatives of a term by the states depend on others."""
-    return bool(term.names & set(others)) and bool(term.names & set(states)) and _slope(term, states) is None
+    return bool(term.names & set(others)) and bool(term.names & set(states)) and slopes_of(term, states) is None
 
 
 def _modes(linear: Floats, names: Sequence[str]) -> tuple[list[Quantity], list[Mode]]:

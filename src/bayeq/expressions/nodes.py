@@ -207,6 +207,31 @@ def unknowns_of(node: Node) -> Iterator[Unknown]:
     return (one for one in nodes_of(node) if isinstance(one, Unknown))
 
 
+def jumps_of(node: Node) -> Iterator[Call]:
+    """The jumps in a term, as signs and floors of what they happen in."""
+    jump = jump_of(node)
+    if jump is not None:
+        yield jump
+    for part in arguments_of(node):
+        yield from jumps_of(part)
+
+
+def jump_of(node: Node) -> Call | None:
+    """The sign or floor that a node jumps with."""
+    match node:
+        case Call("sign" | "heaviside", arguments):
+            return Call("sign", arguments)
+        case Call("floor", arguments):
+            return Call("floor", arguments)
+        case Call("ceil", (argument,)):
+            return Call("floor", (Negate(argument),))
+        case Call("mod", (left, right)):
+            return Call("floor", (Binary("/", left, right),))
+        case Binary("<" | "<=" | ">" | ">=", left, right):
+            return Call("sign", (Binary("-", left, right),))
+    return None
+
+
 def replaced(node: Node, values: Mapping[Node, Node]) -> Node:
     """A tree with others in place of some of its nodes."""
     if node in values:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bayeq.arrays import Bools, Floats
-from bayeq.dictionary import evaluate_terms
+from bayeq.dictionary import evaluate_terms, slopes_of
 from bayeq.dictionary.ranges import NODES, constants_of, middle, to_plain, to_scale
 from bayeq.errors import InputError, some_of
 from bayeq.expressions import Binary, Evaluator, Expression, Symbol, Unknown, number
@@ -51,7 +51,40 @@ def with_first_laws(motion: Motion, roles: Roles, terms: Sequence[Expression], a
     """
     constants = _ranges(roles, motion)
     nodes = min(NODES, max(3, int(GRID ** (1.0 / max(len(constants), 1)))))
-    places = [np.linspace(to_scale(one, one.low), to_scale(one, one.high), nodes) for one in constants]
+    found = _at_peaks(motion, roles, terms, allowed, constants, [nodes] * len(constants))
+    if not found:
+        law = roles.hidden[0].law
+        raise InputError(
+            f"law {law}: not finite along the record for any value of its constants; write abs() where a root or a"
+            " power needs it, or other ranges"
+        )
+    return found
+
+
+def law_constants(roles: Roles) -> dict[str, Unknown]:
+    """The constants of the laws of hidden states, by name."""
+    return constants_of([chain.law for chain in roles.hidden if chain.law is not None])
+
+
+def with_values_of(terms: Sequence[Expression], motion: Motion) -> tuple[Expression, ...]:
+    """The terms with the values that constants have in the laws of hidden states."""
+    values = law_constants(motion.roles)
+    return tuple(term.with_unknowns(values) for term in terms)
+
+
+def _at_peaks(
+    motion: Motion,
+    roles: Roles,
+    terms: Sequence[Expression],
+    allowed: Bools,
+    constants: Sequence[Unknown],
+    nodes: Sequence[int],
+    inner: Sequence[str] = (),
+) -> list[Motion]:
+    """The motion with hidden states at the likeliest values of some constants, on a grid and about its nodes.
+
+    None at the ends of the constants `inner`: where there are no others in the middle. Empty where no values do.
+    """
 
     def values(at: Sequence[float]) -> dict[str, Unknown]:
         return {one.name: replace(one, value=to_plain(one, x)) for one, x in zip(constants, at, strict=True)}
@@ -59,24 +92,16 @@ def with_first_laws(motion: Motion, roles: Roles, terms: Sequence[Expression], a
     def score(at: Sequence[float]) -> float:
         try:
             found = with_hidden(motion, at_values(roles, values(at)))
-        except InputError:
+        except InputError:  # it blows up
             return -math.inf
         return _explained(found, [term.with_unknowns(values(at)) for term in terms], allowed)
 
-    peaks = _peaks(score, places, np.zeros(len(places), dtype=np.bool_)) if constants else [()]
-    if not peaks or not math.isfinite(score(peaks[0])):
-        law = roles.hidden[0].law
-        raise InputError(
-            f"law {law}: not finite along the record for any value of its constants; write abs() where a root or a"
-            " power needs it, or other ranges"
-        )
+    if not constants:
+        return [with_hidden(motion, roles)] if math.isfinite(score(())) else []
+    ends = [(to_scale(one, one.low), to_scale(one, one.high)) for one in constants]
+    places = [np.linspace(low, high, count) for (low, high), count in zip(ends, nodes, strict=True)]
+    peaks = _peaks(score, places, np.array([one.name in inner for one in constants]))
     return [with_hidden(motion, at_values(roles, values(at))) for at in peaks]
-
-
-def with_values_of(terms: Sequence[Expression], motion: Motion) -> tuple[Expression, ...]:
-    """The terms with the values that constants have in the laws of hidden states."""
-    values = constants_of([chain.law for chain in motion.roles.hidden if chain.law is not None])
-    return tuple(term.with_unknowns(values) for term in terms)
 
 
 def _peaks(
@@ -84,7 +109,7 @@ def _peaks(
 ) -> list[tuple[float, ...]]:
     """Where a score is highest on a grid, within the nodes about its peaks, the highest first.
 
-    At the ends of the axes `inner`, (n,) bool, there are none.
+    At the ends of the axes `inner`, (n,) bool, there are none, and where there are no others the middle of the grid is.
     """
     from scipy.ndimage import maximum_filter
     from scipy.optimize import minimize
@@ -100,6 +125,8 @@ def _peaks(
     peaks = (scores == maximum_filter(scores, 3)) & (scores >= least + WORTH * (most - least))
     for axis in np.flatnonzero(inner):
         np.moveaxis(peaks, axis, 0)[[0, -1]] = False
+    if not peaks.any():
+        return [tuple(float(place.mean()) for place in places)]
     found: list[tuple[float, ...]] = []
     for at in sorted(np.argwhere(peaks).tolist(), key=lambda at: -scores[tuple(at)])[:STARTS]:
         step = np.array([place[1] - place[0] for place in places])
@@ -192,40 +219,26 @@ def _on_springs(motion: Motion, roles: Roles, terms: Sequence[Expression], allow
     constants, parts = [], []
     for term in (term for term, mine in zip(terms, allowed[-1], strict=True) if mine):
         inside = [name for name in chain.states if name in term.names]
-        without, once, twice = _at(term, {name: np.arange(3.0) for name in inside})
-        if len(inside) != 1 or not math.isclose(twice - once, once - without, rel_tol=1e-9):
+        slope = slopes_of(term, inside)
+        if len(inside) != 1 or slope is None:
             continue
         constant = damper
         if inside[0] == chain.names[0]:
             spring = pace**chain.order
             constant = Unknown(f"spring {term.text}", spring / STIFFNESS, spring * STIFFNESS)
         constants += [] if constant in constants else [constant]
-        parts.append(product(number(-math.copysign(1.0, once - without)), Binary("*", constant, term.tree)))
+        parts.append(product(number(-math.copysign(1.0, slope[0])), Binary("*", constant, term.tree)))
     if not parts:
         raise InputError(
             f"chain {chain}: give {chain.target} a difference by itself, {beside.names[0]}-{chain.names[0]}"
         )
     stated = roles.with_chains([*roles.seen.chains, chain.with_law(Expression(total(parts)))])
-
-    def with_values(scales: Sequence[float]) -> Motion:
-        values = {one.name: replace(one, value=math.exp(x)) for one, x in zip(constants, scales, strict=True)}
-        return with_hidden(motion, at_values(stated, values))
-
-    def score(scales: Sequence[float]) -> float:
-        try:
-            return _explained(with_values(scales), terms, allowed)
-        except InputError:  # it blows up
-            return -math.inf
-
-    springs = np.array([one is not damper for one in constants])
-    nodes = max(FEWEST, int((GRID / DAMPERS) ** (1.0 / max(springs.sum(), 1))))
-    places = [
-        np.linspace(math.log(one.low), math.log(one.high), nodes if own else DAMPERS)
-        for one, own in zip(constants, springs, strict=True)
-    ]
+    springs = [one.name for one in constants if one is not damper]
+    nodes = max(FEWEST, int((GRID / DAMPERS) ** (1.0 / max(len(springs), 1))))
+    counts = [DAMPERS if one is damper else nodes for one in constants]
     # at the ends of springs a hidden mass is none, and its force any acceleration
-    found = _peaks(score, places, springs) or [tuple(float(place.mean()) for place in places)]
-    return [replace(with_values(at), roles=roles) for at in found]
+    found = _at_peaks(motion, stated, terms, allowed, constants, counts, inner=springs)
+    return [replace(one, roles=roles) for one in found]
 
 
 class _Rest(NamedTuple):

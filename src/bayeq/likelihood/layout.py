@@ -19,9 +19,9 @@ from bayeq.arrays import Floats, Ints
 from bayeq.expressions import Binary, Call, Evaluator, Expression, Node, Number, Symbol, Tape, number
 from bayeq.expressions.functions import TIME
 from bayeq.expressions.implicit import solved
-from bayeq.expressions.nodes import replaced
+from bayeq.expressions.nodes import jumps_of, replaced
 from bayeq.likelihood.low_pass import feedback
-from bayeq.likelihood.signs import jumps_of, mean_of_jumps
+from bayeq.likelihood.signs import mean_of_jumps
 from bayeq.states import Lag, Roles, rates
 
 Course = Literal["smooth", "linear", "hold", "cubic", "band-limited"]

@@ -21,7 +21,7 @@ from bayeq.likelihood.adequacy import Adequacy, adequacy_of, power_of
 from bayeq.likelihood.block import Block, at_its_path
 from bayeq.likelihood.courses import with_other_inputs
 from bayeq.likelihood.fit import Quadratic, State, candidates, of_stated, solved
-from bayeq.likelihood.hidden import with_laws_of
+from bayeq.likelihood.hidden import law_constants, with_laws_of
 from bayeq.likelihood.lags import lags_of
 from bayeq.likelihood.layout import Stated
 from bayeq.likelihood.levels import LEAST_NOISE
@@ -481,8 +481,7 @@ def _fitted(
 
 def as_likely(task: Task, fitted: Fitted, others: Sequence[tuple[Task, Fitted]]) -> tuple[Mapping[str, float], ...]:
     """Constants of the laws of hidden states by which other fits are nearly as likely."""
-    names = constants_of([chain.law for chain in task.layout.roles.hidden if chain.law is not None]).keys()
-    now, found = constants_of(task.layout.terms), []
+    names, now, found = law_constants(task.layout.roles), constants_of(task.layout.terms), []
     for there, other in others:
         values = {name: constants_of(there.layout.terms)[name].value for name in names}
         places = [(now[name], value) for name, value in values.items()]

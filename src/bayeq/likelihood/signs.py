@@ -10,41 +10,16 @@ derivative on both sides, and stay.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from bayeq.arrays import Floats
 from bayeq.expressions import Binary, Call, Evaluator, Expression, Negate, Node, Number, number
-from bayeq.expressions.nodes import arguments_of, is_comparison, with_arguments
+from bayeq.expressions.nodes import arguments_of, is_comparison, jump_of, with_arguments
 
 # Slope of the mean of a sign at zero: sqrt(2 / pi) / w.
 SLOPE = math.sqrt(2.0 / math.pi)
-
-
-def jumps_of(node: Node) -> Iterator[Call]:
-    """The jumps in a term, as signs and floors of what they happen in."""
-    jump = _jump(node)
-    if jump is not None:
-        yield jump
-    for part in arguments_of(node):
-        yield from jumps_of(part)
-
-
-def _jump(node: Node) -> Call | None:
-    """The sign or floor that a node jumps with."""
-    match node:
-        case Call("sign" | "heaviside", arguments):
-            return Call("sign", arguments)
-        case Call("floor", arguments):
-            return Call("floor", arguments)
-        case Call("ceil", (argument,)):
-            return Call("floor", (Negate(argument),))
-        case Call("mod", (left, right)):
-            return Call("floor", (Binary("/", left, right),))
-        case Binary("<" | "<=" | ">" | ">=", left, right):
-            return Call("sign", (Binary("-", left, right),))
-    return None
 
 
 def mean_of_jumps(node: Node, blur: Mapping[Node, Node]) -> Node:
@@ -60,7 +35,7 @@ def mean_of_jumps(node: Node, blur: Mapping[Node, Node]) -> Node:
 def _with_values(node: Node, value_of: Callable[[Call], Node | None]) -> Node:
     """A term with values in place of jumps, where there are any."""
     parts = tuple(_with_values(part, value_of) for part in arguments_of(node))
-    jump = _jump(node)
+    jump = jump_of(node)
     mean = None if jump is None else value_of(jump)
     if isinstance(node, Call) and node.function == "where":
         return _mixed(*parts)
