@@ -30,7 +30,7 @@ from bayeq.discovery import discover
 from bayeq.equation.equations import Equations
 from bayeq.errors import InputError
 from bayeq.expressions import parse
-from bayeq.likelihood.signs import jumps_of
+from bayeq.expressions.nodes import jumps_of
 from bayeq.records import Record
 from bayeq.states import parse_chain
 from bayeq.systems import simulate

@@ -15,10 +15,11 @@ from studies.adverse_records import CASES, draw_record
 
 import bayeq as bq
 from bayeq.expressions import Evaluator, Expression, number, parse
+from bayeq.expressions.nodes import jumps_of
 from bayeq.likelihood import search
 from bayeq.likelihood.blur import blur_of
 from bayeq.likelihood.layout import Layout, Series
-from bayeq.likelihood.signs import half_of_jump, jumps_of, mean_of_jumps, unresolved_share
+from bayeq.likelihood.signs import half_of_jump, mean_of_jumps, unresolved_share
 from bayeq.numerics.settings import LIKELIHOOD, overridden
 from bayeq.states import Roles
 from bayeq.systems import get_system
