@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
 from scipy.special import betainc
 from scipy.stats import kstest
 
 import bayeq as bq
 from bayeq.equation.brief import brief
 from bayeq.equation.verdict import KINDS, Verdict, doubted, worst
-from bayeq.likelihood.adequacy import Adequacy, Discrepancy, Octave, chance_of, octaves_of, turn_of
+from bayeq.likelihood.adequacy import Adequacy, Change, Discrepancy, Octave, chance_of, octaves_of, turn_of
 from bayeq.likelihood.low_pass import feedback, mean_spectrum, spectrum_of, step_variance
 from bayeq.numerics.distributions import incomplete_beta
 from bayeq.selection.alternatives import Alternatives, alternatives_to
@@ -105,12 +107,54 @@ def test_many_tests_reject_at_their_level_together():
     assert Adequacy((NOTHING._replace(p=1e-9),), tuple(chance)).lacks(0) is not None
 
 
+def oscillation(change, seed, n=1500, fs=100.0):
+    """A driven oscillator whose stiffness changes in proportion to time, 2 % of noise."""
+    rng, t = np.random.default_rng(seed), np.arange(n) / fs
+    frequencies, phases = rng.uniform(0.3, 4.0, 30), rng.uniform(0.0, 2.0 * np.pi, 30)
+
+    def force(time):
+        return np.cos(2.0 * np.pi * frequencies * time + phases).sum()
+
+    def rates(time, state):
+        return [state[1], force(time) - 0.8 * state[1] - 150.0 * (1.0 + change * time / t[-1]) * state[0]]
+
+    states = solve_ivp(rates, (0.0, t[-1]), [0.0, 0.0], t_eval=t, rtol=1e-9, atol=1e-11).y
+    a = np.array([rates(*pair)[1] for pair in zip(t, states.T, strict=True)])
+    clean = {"x": states[0], "v": states[1], "a": a, "u": np.array([force(time) for time in t])}
+    noisy = {name: x + 0.02 * x.std() * rng.standard_normal(n) for name, x in clean.items()}
+    return bq.Record.from_arrays(noisy, time=t)
+
+
+def test_a_coefficient_that_changes_is_told_by_how_much():
+    terms = ["x", "v", "u", "x**3", "v*abs(v)"]
+    (equation,) = quietly(oscillation(0.03, 1), chains="x:v:a", inputs="u", dictionary=terms)
+    assert equation.shown == ("x", "v", "u")
+    assert equation.verdict.kind == "nearly true"
+    said = re.fullmatch(
+        r"the coefficient of x changes by \+(.*) % over the record \(p < 0.0001\)", equation.verdict.reason
+    )
+    assert 2.5 < float(said[1]) < 3.5
+    (steady,) = quietly(oscillation(0.0, 1), chains="x:v:a", inputs="u", dictionary=terms)
+    assert steady.verdict.kind == "found"
+
+
+@pytest.mark.slow
+def test_changes_of_constant_coefficients_are_by_chance():
+    p = []
+    for seed in range(40):
+        (equation,) = quietly(oscillation(0.0, seed, 400), chains="x:v:a", inputs="u", dictionary=["x", "v", "u"])
+        p += [one.p for one in equation.fit.regression.record.adequacy.changes]
+    assert len(p) == 120
+    assert kstest(p, "uniform").pvalue > 0.01
+
+
 def test_verdicts_from_the_worst():
     found = Verdict("found", "R2 1")
     others = Alternatives(0.2, ("v**3",), ("v",))
     lacking = NOTHING._replace(size=0.03, low=0.02, high=0.04, p=1e-9)
     hum = Octave("v", 40.0, 80.0, 4.0, 1e-9, 0.1)
     none = Alternatives(0.0)
+    more, less = (Change(0, "the constant", 0.05, share, 1e-9) for share in (0.018, 0.01))
     (chain,) = Roles.parse("x:v:a").chains
 
     def verdict_of(*doubts, verdict=found, **more):
@@ -126,6 +170,12 @@ def test_verdicts_from_the_worst():
         ),
         (verdict_of(none, lacking, hum), "nearly true", "3 % of a is not explained by these terms, mostly at"),
         (verdict_of(none, None, hum), "nearly true", "what is left of v is not white noise: 4 times"),
+        (
+            verdict_of(none, lacking, None, exact=1e-3, left=0.02, changing=more),
+            "nearly true",
+            "the constant changes by +5 % over the record (p < 0.0001)",
+        ),
+        (verdict_of(none, lacking, None, left=0.02, changing=less), "nearly true", "2 % of a is not explained"),
         (verdict_of(none, None, None, n_eff=(40.2, 100)), "nearly true", "100 rows tell as much as 40 independent"),
         (verdict_of(none, None, None, left=0.3), "nearly true", "30 % of a is not explained by these terms"),
         (verdict_of(none, None, None, left=0.1), "found", "R2 1"),

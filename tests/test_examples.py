@@ -119,6 +119,7 @@ def test_the_coupled_masses_check_each_other():
     assert max(errors) < 6
 
 
+@pytest.mark.slow
 def test_the_tanks_need_a_hidden_level():
     example = ran(tanks)
     first, second = example.blocks["found"], example.blocks["second"]
@@ -132,6 +133,7 @@ def test_the_tanks_need_a_hidden_level():
     assert float(re.search(r"y: normalised RMS error ([\d.]+) %", hidden).group(1)) < 60
 
 
+@pytest.mark.slow
 def test_the_encoder_s_law_is_nearly_true():
     example = ran(encoder)
     found = example.blocks["found"]

@@ -205,7 +205,7 @@ def exchangeable(equation: Equation, equations: Sequence[Equation]) -> str | Non
 def _doubted(equation: Equation, selection: Selection, tolerance: float, again: Repeating | None) -> Verdict:
     # of terms within the tolerance other equations are those of the model that has them
     full, regression = selection.full or selection, selection.shown_fit.regression
-    lacking, coloured = regression.tests()
+    lacking, coloured, change = regression.tests()
     # as the likelihood has it, which other equations are compared by
     within = max(tolerance, equation.tau)
     others = alternatives_to(full.shown_fit, full.shown_fit.expanded(full.shown), within, equation.tau == 0.0)
@@ -226,6 +226,7 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
         equation.error_share,
         reversed_channel,
         dependent,
+        change,
     )
     if isinstance(regression, RecordRegression) and regression.record.rivals and verdict.kind != "none":
         other = ", ".join(f"{name} = {value:.4g}" for name, value in regression.record.rivals[0].items())

@@ -14,7 +14,7 @@ from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import correlation_time, typical_period, window_runs
 from bayeq.forecast.rows import divided, rows_of
 from bayeq.forecast.score import percentages
-from bayeq.likelihood.adequacy import Discrepancy, Octave
+from bayeq.likelihood.adequacy import Change, Discrepancy, Octave
 from bayeq.numerics.settings import EQUATION, LIKELIHOOD
 from bayeq.regression.regression import Regression
 from bayeq.regression.residuals import Fit
@@ -52,8 +52,9 @@ class Verdict:
         ``not determined``: the engine did not converge, equations that predict otherwise have more than 5 % of the
         probability, or the motion repeats itself and does not tell the candidates apart (`bayeq.selection.excitation`).
         ``nearly true``: the law lacks a function of the states (its probability to lack none is below 1 %,
-        `bayeq.likelihood.spike`), the motion needs a force that no term explains, or what is left of a channel is not
-        white noise (`bayeq.likelihood.adequacy`); or the terms leave more than 20 % of the target.
+        `bayeq.likelihood.spike`), the motion needs a force that no term explains, what is left of a channel is not
+        white noise, or a coefficient changes over the record (`bayeq.likelihood.adequacy`); or the terms leave more
+        than 20 % of the target.
     reason : str
         In a sentence.
     advice : str
@@ -117,6 +118,7 @@ def doubted(
     reversed_channel: str | None = None,  # one that contradicts the lowest of its chain in sign
     # effective number of residuals of rows as measured, and their number, where it is less than half of that
     n_eff: tuple[float, int] | None = None,
+    changing: Change | None = None,  # a coefficient that changes over the record
 ) -> Verdict:
     """The verdict of an equation that is not wrong: is it determined, and is it all there is?"""
     target, rate = chain.target, "per sample" if chain.discrete else "Hz"
@@ -152,6 +154,12 @@ def doubted(
     share = left if left is not None else 0.0 if lacking is None else lacking.size
     unexplained = f"{percentages({'': share}).strip()} of {target} is not explained by these terms"
     careful = "parameters may be off by more than their intervals say"
+    if changing is not None and changing.share > share * math.sqrt(0.5):  # most of what is not explained
+        return Verdict(
+            "nearly true",
+            f"{changing.of} changes by {100.0 * changing.relative:+.2g} % over the record (p {_chance(changing.p)})",
+            f"{careful}: answer parts of the record apart (--rows), or offer t times the term",
+        )
     if exact < LIKELIHOOD.nearly_true and not share < LIKELIHOOD.misfit_least:
         return Verdict(
             "nearly true",
@@ -167,11 +175,10 @@ def doubted(
             f"{careful}: add inputs or terms, and check the timing of the channels",
         )
     if coloured is not None:
-        chance = f"= {coloured.p:.1g}" if coloured.p >= 1e-4 else "< 0.0001"
         return Verdict(
             "nearly true",
             f"what is left of {coloured.channel} is not white noise: {coloured.ratio:.2g} times as much between"
-            f" {coloured.low:.2g} and {coloured.high:.2g} {rate} (p {chance})",
+            f" {coloured.low:.2g} and {coloured.high:.2g} {rate} (p {_chance(coloured.p)})",
             f"check {coloured.channel} against the other channels: calibration, timing, filters, hum",
         )
     if n_eff is not None:
@@ -183,6 +190,10 @@ def doubted(
     if share > MUCH:
         return Verdict("nearly true", unexplained, f"{careful}: add terms or inputs")
     return verdict
+
+
+def _chance(p: float) -> str:
+    return f"= {p:.1g}" if p >= 1e-4 else "< 0.0001"
 
 
 def worst(verdicts: Sequence[tuple[str, Verdict]]) -> Verdict:

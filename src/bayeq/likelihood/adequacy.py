@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from bayeq.arrays import Floats
 from bayeq.likelihood.filter import Filtered, run_filter
-from bayeq.likelihood.fit import State, adjoints, maximised, of_inputs
+from bayeq.likelihood.fit import State, Statistics, adjoints, maximised, of_inputs, solved
 from bayeq.likelihood.levels import Levels
 from bayeq.likelihood.model import Fitted, Task
 from bayeq.numerics.distributions import Z95, Shape, incomplete_beta, shape_of
@@ -33,6 +33,9 @@ STEP, LEAST_BEND = 0.1, 1e-3
 # measured may be slow.
 AT_BOUND = 0.98
 
+# Information on a change, as a share of that on it alone, below which it is rounding.
+ROUNDING = 1e-9
+
 # Bins of an octave, at least.
 LEAST_BINS = 8
 
@@ -45,6 +48,16 @@ class Discrepancy(NamedTuple):
     high: float
     p: float  # probability by chance of a likelihood that is greater than without by as much, see `chance_of`
     octave: tuple[float, float]  # between these frequencies [Hz] lies most of its power
+
+
+class Change(NamedTuple):
+    """How a coefficient changes over the record, as far as samples tell."""
+
+    chain: int  # number of the equation
+    of: str  # "the coefficient of x", "the constant"
+    relative: float  # change from the first sample to the last, along a straight line, as a share of the coefficient
+    share: float  # standard deviation of what that does to the target, as a share of the target's
+    p: float  # probability by chance of a change so large, were there none
 
 
 class Octave(NamedTuple):
@@ -65,11 +78,12 @@ class Adequacy:
     discrepancies: tuple[Discrepancy, ...]  # one per equation
     octaves: tuple[Octave, ...]  # of the channels of all chains
     shapes: Mapping[str, Shape] = field(default_factory=dict)  # of the standardised innovations of these channels
+    changes: tuple[Change, ...] = ()  # of the coefficients of the model
 
     @property
     def limit(self) -> float:
         """Probability below which a test rejects at 1 %, all tests together (Holm)."""
-        p = sorted([one.p for one in self.discrepancies] + [one.p for one in self.octaves])
+        p = sorted(one.p for tests in (self.discrepancies, self.octaves, self.changes) for one in tests)
         for k, value in enumerate(p):
             if value > LIKELIHOOD.test_level / (len(p) - k):
                 return LIKELIHOOD.test_level / (len(p) - k)
@@ -85,6 +99,12 @@ class Adequacy:
         rejected = [one for one in self.octaves if one.channel in channels and one.p <= self.limit]
         return min(rejected, key=lambda one: (one.p, -abs(math.log(one.ratio))), default=None)
 
+    def changing(self, c: int) -> Change | None:
+        """The least probable change of a coefficient of equation c, if it is rejected."""
+        least = LIKELIHOOD.misfit_least
+        rejected = [one for one in self.changes if one.chain == c and one.p <= self.limit and one.share > least]
+        return min(rejected, key=lambda one: one.p, default=None)
+
 
 def adequacy_of(task: Task, fitted: Fitted) -> Adequacy:
     """Tests of a fit."""
@@ -96,7 +116,44 @@ def adequacy_of(task: Task, fitted: Fitted) -> Adequacy:
     here = task.marginal(state)
     interval = float(np.median(np.concatenate([one.intervals for one in task.series])))
     discrepancies = [_discrepancy(task, state, here.value, c, interval) for c in range(task.layout.chains)]
-    return Adequacy(tuple(discrepancies), *_innovations(task, state, here.delta, interval))
+    changes = changes_of(task, state, here, fitted.power)
+    return Adequacy(tuple(discrepancies), *_innovations(task, state, here.delta, interval), changes)
+
+
+def changes_of(task: Task, state: State, here: Statistics, power: float) -> tuple[Change, ...]:
+    """Score tests of coefficients that change along a straight line over each record, one at a time (Nyblom 1989).
+
+    The score of a sample by the change of a coefficient is that by the coefficient, times the place of the sample in
+    the record, -1 to 1: innovations forget the coefficients of long ago.
+    """
+    r, rows = len(state.theta), 0
+    if not r:
+        return ()
+    slope, turned, within, square = np.zeros((4, r))
+    information, across = np.zeros((2, r, r))
+    for one, linear, found in zip(task.series, task.linearised(state), here.filtered, strict=True):
+        time = np.append(0.0, np.cumsum(one.intervals))
+        place = 2.0 * time / time[-1] - 1.0
+        left, columns = standardised(found, here.delta)
+        columns = columns.reshape(-1, r)
+        tilted = np.repeat(place, left.shape[1])[:, None] * columns
+        slope, turned = slope + left.ravel() @ columns, turned + left.ravel() @ tilted
+        information, across = information + columns.T @ columns, across + columns.T @ tilted
+        within += (tilted**2).sum(axis=0)
+        square += ((place[:, None] * linear.terms[:, state.chosen.term]) ** 2).sum(axis=0)
+        rows += len(place)
+    carried = solved(information + np.diag(task.precision_of(state)), np.column_stack([across, slope]))
+    variance = within - np.einsum("ij,ij->j", across, carried[:, :-1])
+    sd = 1.0 / np.sqrt(np.where(variance > ROUNDING * within, variance, np.inf))
+    standard = sd * (turned - across.T @ carried[:, -1])
+    chance = [math.erfc(x) for x in np.abs(standard) * math.sqrt(0.5 * power)]
+    moved = sd * standard
+    share = np.abs(moved) * np.sqrt(square / rows / state.levels.target[state.chosen.chain])
+    terms = [f"the coefficient of {term}" for term in task.layout.terms] + ["the constant"]
+    numbers = zip(state.chosen.chain.tolist(), state.chosen.term.tolist(), strict=True)
+    relative = (2.0 * moved / (state.theta + here.delta)).tolist()
+    found = zip(numbers, relative, share.tolist(), chance, strict=True)
+    return tuple(Change(chain, terms[term], *rest) for (chain, term), *rest in found)
 
 
 def _discrepancy(task: Task, state: State, value: float, c: int, interval: float) -> Discrepancy:
@@ -304,11 +361,18 @@ def power_of(task: Task, fitted: Fitted) -> float:
 
 def _scores(filtered: Filtered, delta: Floats) -> Floats:
     """Derivatives of the log likelihood of every sample by the coefficients, (n, r)."""
+    return np.asarray(np.einsum("tk,tki->ti", *standardised(filtered, delta)))
+
+
+def standardised(filtered: Filtered, delta: Floats) -> tuple[Floats, Floats]:
+    """Innovations (n, M), coefficients `delta` from those of the filter, and their derivatives by these (n, M, r).
+
+    Both in standard deviations of the innovations; 0 where there is no sample.
+    """
     known = filtered.variance > 0.0
     sd = np.sqrt(np.where(known, filtered.variance, 1.0))[..., None]
     standard = np.where(known[..., None], filtered.innovation / sd, 0.0)
-    left = standard[..., 0] - standard[..., 1:] @ delta
-    return np.asarray(np.einsum("tk,tki->ti", left, standard[..., 1:]))
+    return standard[..., 0] - standard[..., 1:] @ delta, standard[..., 1:]
 
 
 def excess_of(scores: Sequence[Floats]) -> tuple[float, float]:

@@ -14,7 +14,7 @@ from bayeq.dictionary import evaluate_terms
 from bayeq.dictionary.ranges import ConstantEstimate, Forms
 from bayeq.expressions import Expression
 from bayeq.inference.posterior import Posterior
-from bayeq.likelihood.adequacy import Discrepancy, Octave
+from bayeq.likelihood.adequacy import Change, Discrepancy, Octave
 from bayeq.likelihood.fit import solved
 from bayeq.likelihood.projection import projected
 from bayeq.likelihood.record_fit import RecordFit
@@ -76,11 +76,11 @@ class RecordRegression(Regression):
         """As of `Regression`: of a target that is not measured."""
         return self.chain.measured[-1] is None
 
-    def tests(self) -> tuple[Discrepancy | None, Octave | None]:
+    def tests(self) -> tuple[Discrepancy | None, Octave | None, Change | None]:
         """As of `Regression`."""
         adequacy = self.record.adequacy
         channels = [name for name in self.chain.measured if name is not None]
-        return adequacy.lacks(self.k), adequacy.coloured(channels)
+        return adequacy.lacks(self.k), adequacy.coloured(channels), adequacy.changing(self.k)
 
     @property
     def shape(self) -> Shape | None:

@@ -16,7 +16,7 @@ from bayeq.expressions import Expression
 from bayeq.gram import Gram
 from bayeq.gram.gram import grams_from_blocks
 from bayeq.inference.posterior import Posterior
-from bayeq.likelihood.adequacy import Discrepancy, Octave
+from bayeq.likelihood.adequacy import Change, Discrepancy, Octave
 from bayeq.numerics.distributions import Shape
 from bayeq.numerics.settings import REGRESSION
 from bayeq.regression.design import Design
@@ -95,9 +95,10 @@ class Regression:
         """Whether data tell of the target by the motion alone that it leads to."""
         return False
 
-    def tests(self) -> tuple[Discrepancy | None, Octave | None]:
-        """A discrepancy that the motion needs, and innovations that are not white; none of rows."""
-        return None, None
+    def tests(self) -> tuple[Discrepancy | None, Octave | None, Change | None]:
+        """A discrepancy that the motion needs, innovations that are not white, a coefficient that changes; none of
+        rows."""
+        return None, None, None
 
     @property
     def shape(self) -> Shape | None:
