@@ -19,6 +19,7 @@ from bayeq.expressions.nodes import jumps_of
 from bayeq.likelihood import search
 from bayeq.likelihood.blur import blur_of
 from bayeq.likelihood.layout import Layout, Series
+from bayeq.likelihood.model import from_all_levels, with_model
 from bayeq.likelihood.signs import half_of_jump, mean_of_jumps, unresolved_share
 from bayeq.numerics.settings import LIKELIHOOD, overridden
 from bayeq.states import Roles
@@ -202,6 +203,27 @@ def test_a_model_that_starts_lead_to_again_is_fitted_once(monkeypatch):
     for starts, models in searches:
         assert starts > 1  # nothing stands for the missing term
         assert len(set(models)) == len(models) < starts
+
+
+def test_probabilities_are_those_about_the_likeliest_model_that_is_met(monkeypatch):
+    """The search among neighbours ends at a model that the likelihood about it finds far too large."""
+    calls = []
+
+    def crowded(task, best):
+        calls.append(best.model)
+        if len(calls) > 1:
+            return task, best
+        model = best.model.copy()
+        model[:-1] = True
+        return task, from_all_levels(task, with_model(task, best, model))
+
+    monkeypatch.setattr("bayeq.likelihood.record_fit.among_neighbours", crowded)
+    record = bq.simulate("duffing", n=600, seed=4)
+    (one,) = quietly(record, chains="x:v:a", inputs="u", dictionary="x, v, x**2, x**3, v**3, u", holdout=0)
+    assert len(calls) == 2
+    assert one.included == ("x", "v", "x**3", "u")
+    found = one.fit.regression.record
+    assert found.likeliest == pytest.approx(found.fitted.evidence, abs=1e-9)
 
 
 def test_the_standard_error_of_a_discrepancy_is_that_of_draws():

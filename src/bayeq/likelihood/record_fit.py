@@ -81,6 +81,8 @@ class RecordFit:
             found = cls(task, best, *averaged(task, best, soft), best.evidence)
         included = found.about(found.posterior.support)
         lost = fitted.evidence - included.fitted.evidence
+        if included.own and fitted.power == 1.0 and lost < -CLEARLY:
+            return cls.of(task, included.fitted)  # probabilities are to be those about the likelier model
         # where innovations are correlated a fit of another model is no more to be relied on than the raised Gram
         if included.own and (
             fitted.power < 1.0 or lost < found.worse(included.fitted.model) + LIKELIHOOD.neighbour_window
