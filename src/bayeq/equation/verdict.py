@@ -155,9 +155,10 @@ def doubted(
     unexplained = f"{percentages({'': share}).strip()} of {target} is not explained by these terms"
     careful = "parameters may be off by more than their intervals say"
     if changing is not None and changing.share > share * math.sqrt(0.5):  # most of what is not explained
+        size = "its sign" if abs(changing.relative) > 2.0 else f"by {100.0 * changing.relative:+.2g} %"
         return Verdict(
             "nearly true",
-            f"{changing.of} changes by {100.0 * changing.relative:+.2g} % over the record (p {_chance(changing.p)})",
+            f"{changing.of} changes {size} over the record (p {_chance(changing.p)})",
             f"{careful}: answer parts of the record apart (--rows), or offer t times the term",
         )
     if exact < LIKELIHOOD.nearly_true and not share < LIKELIHOOD.misfit_least:
