@@ -226,6 +226,19 @@ def test_probabilities_are_those_about_the_likeliest_model_that_is_met(monkeypat
     assert found.likeliest == pytest.approx(found.fitted.evidence, abs=1e-9)
 
 
+@pytest.mark.parametrize(("damping_ratio", "seed"), [(0.004, 0), (0.01, 0)])
+def test_a_ring_down_of_an_accelerometer_alone(damping_ratio, seed):
+    """Rows ask for a dozen terms, from which no fit begins; with fewer of them one does."""
+    w, t = 40.0 * np.pi, np.arange(1000) / 240.0
+    s = w * complex(-damping_ratio, math.sqrt(1.0 - damping_ratio**2))
+    a = 0.06 * (s**2 * np.exp(s * t)).real
+    noise = 0.02 * a.std() * np.random.default_rng(seed).standard_normal(1000)
+    eq = quietly(bq.Record.from_arrays(a=a + noise, time=t), chains="::a")
+    assert eq[0].shown == ("x", "dx")
+    assert eq.verdict.kind == "found"
+    assert eq[0].shown_coef["x"] == pytest.approx(-(w**2), rel=1e-4)
+
+
 def test_the_standard_error_of_a_discrepancy_is_that_of_draws():
     _, eq, _ = duffing()
     found = eq[0].fit.regression.record

@@ -152,8 +152,8 @@ def changes_of(task: Task, state: State, here: Statistics, power: float) -> tupl
     terms = [f"the coefficient of {term}" for term in task.layout.terms] + ["the constant"]
     numbers = zip(state.chosen.chain.tolist(), state.chosen.term.tolist(), strict=True)
     relative = (2.0 * moved / (state.theta + here.delta)).tolist()
-    found = zip(numbers, relative, share.tolist(), chance, strict=True)
-    return tuple(Change(chain, terms[term], *rest) for (chain, term), *rest in found)
+    rest = zip(relative, share.tolist(), chance, strict=True)
+    return tuple(Change(chain, terms[term], *one) for (chain, term), one in zip(numbers, rest, strict=True))
 
 
 def _discrepancy(task: Task, state: State, value: float, c: int, interval: float) -> Discrepancy:

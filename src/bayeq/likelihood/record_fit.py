@@ -27,7 +27,7 @@ from bayeq.likelihood.layout import Stated
 from bayeq.likelihood.levels import LEAST_NOISE
 from bayeq.likelihood.model import Fitted, Task, finished, fit, from_all_levels, of_motion, with_model
 from bayeq.likelihood.projection import Leftover, leftover
-from bayeq.likelihood.search import CLEARLY, from_starts, resumed, search
+from bayeq.likelihood.search import CLEARLY, Start, from_starts, resumed, search
 from bayeq.likelihood.spike import Nearly, Soft, among_fitted, among_neighbours, averaged, of_gram, soft_of
 from bayeq.likelihood.start import carried_over, series_and_paths, start_from
 from bayeq.likelihood.unequal import with_unequal_noise
@@ -458,7 +458,7 @@ def _fitted(
     motion: Motion,
     some: Motion,
     places: Sequence[tuple[int, int]],
-    starts: Sequence[tuple[Task, Sequence[State]]],
+    starts: Sequence[tuple[Task, Sequence[Start]]],
     finish: bool,
 ) -> RecordFit:
     """The likeliest fit of those that searches lead to; `some` of the motion are what they are of."""

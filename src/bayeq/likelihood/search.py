@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import cache, partial
 
@@ -46,6 +47,10 @@ MOST_AT_ONCE = 40
 
 # With more samples than this the Gram of a fit tells its neighbours apart, and they are not fitted.
 MOST_TO_MOVE = 100_000
+
+# A state, or what gives one, or None, when it is needed; of several the first from which a fit can be begun.
+Once = State | Callable[[], State | None]
+Start = Once | tuple[Once, ...]
 
 # Factors by which the variance of coefficients' priors may be wider, where that is likelier by this many nats.
 WIDER, CLEARLY = (10.0, 100.0), 3.0
@@ -174,44 +179,49 @@ def from_the_simplest(task: Task, empty: State) -> State | None:
     return state
 
 
-def from_starts(
-    task: Task, starts: Iterable[State | Callable[[], State | None]], finish: bool = False
-) -> tuple[Task, Fitted]:
+def begun(task: Task, start: Start) -> tuple[Task, Fitted] | None:
+    """Where a start leads to by coarse rounds, or the first of some that leads anywhere; None if there is none."""
+    for one in start if isinstance(start, tuple) else (start,):
+        with suppress(np.linalg.LinAlgError):
+            state = one if isinstance(one, State) else one()
+            return None if state is None else on_the_way(task, state)
+    return None
+
+
+def from_starts(task: Task, starts: Iterable[Start], finish: bool = False) -> tuple[Task, Fitted]:
     """The likeliest fit that starts lead to, from the next one too where those before left a discrepancy.
 
-    A start may be what gives it, or None, when it is needed. The first model is on the way if it leaves none, unless it
-    is to be finished too; a model that starts lead to again is not fitted again. A LinAlgError says that no start leads
-    to a likelihood that can be evaluated.
+    The first model is on the way if it leaves none, unless it is to be finished too; a model that starts lead to again
+    is not fitted again. A LinAlgError says that no start leads to a likelihood that can be evaluated.
     """
     settled: dict[bytes, tuple[Task, Fitted]] = {}
     for one in starts:
+        found = begun(task, one)
+        if found is None or found[1].model.tobytes() in settled:
+            continue
+        there, best = found
+        if not (finish or settled) and best.state.levels.kappa.max() < LIKELIHOOD.adequate:
+            return there, best
         try:
-            start = one if isinstance(one, State) else one()
-            if start is None:
-                continue
-            there, best = on_the_way(task, start)
-            key = best.model.tobytes()
-            if key in settled:
-                continue
-            if not (finish or settled) and best.state.levels.kappa.max() < LIKELIHOOD.adequate:
-                return there, best
-            settled[key] = there, from_all_levels(there, best.state)
+            last = from_all_levels(there, best.state)
         except np.linalg.LinAlgError:
             continue
-        if settled[key][1].state.levels.kappa.max() < LIKELIHOOD.adequate:
+        settled[best.model.tobytes()] = there, last
+        if last.state.levels.kappa.max() < LIKELIHOOD.adequate:
             break
     if not settled:
         raise np.linalg.LinAlgError("no start leads to a likelihood that can be evaluated")
     return max(settled.values(), key=lambda pair: pair[1].evidence)
 
 
-def search(task: Task, starts: Sequence[State], finish: bool = False) -> tuple[Task, Fitted]:
+def search(task: Task, starts: Sequence[Start], finish: bool = False) -> tuple[Task, Fitted]:
     """The best model that rounds of selection lead to, and the task with the steps of integration that were used.
 
     Rounds start from the next start too where those before left a discrepancy. The last one has no terms but those of
     stated laws; the fit of all candidates from there is a further start if these are few. `finish` as in
     `from_starts`.
     """
+    assert isinstance(starts[-1], State)
     together, simplest = partial(all_together, task, starts[-1]), partial(from_the_simplest, task, starts[-1])
     return from_starts(task, (*starts, together, simplest), finish)
 

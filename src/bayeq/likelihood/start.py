@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,7 @@ from bayeq.dictionary import evaluate_terms
 from bayeq.expressions import Expression
 from bayeq.gram import Gram
 from bayeq.inference.collapsed.problem import Problem
-from bayeq.inference.collapsed.search import best_models
+from bayeq.inference.collapsed.search import best_models, neighbours
 from bayeq.inference.collapsed.slab import exact_posterior, learn_slab_variance, residual_scale
 from bayeq.inference.prior import Prior
 from bayeq.likelihood.fit import State, adjoints, linearised, maximised
@@ -23,6 +24,7 @@ from bayeq.likelihood.layout import NOTHING, Candidates, Course, Layout, Series,
 from bayeq.likelihood.levels import LEAST_COURSE, LEAST_NOISE, Levels, Scales
 from bayeq.likelihood.low_pass import Spectrum, mean_spectrum, spectrum_of, step_variance
 from bayeq.likelihood.model import Fitted, Task
+from bayeq.likelihood.search import Start
 from bayeq.likelihood.steps import Flows
 from bayeq.likelihood.unequal import in_proportion
 from bayeq.numerics.settings import LIKELIHOOD
@@ -56,11 +58,11 @@ def start_from(
     tolerance: float | None,
     stated: tuple[Stated, ...] = (),
     conserved: Mapping[int, float] | None = None,
-) -> tuple[Task, tuple[State, ...]]:
+) -> tuple[Task, tuple[Start, ...]]:
     """What is to be explained by a dictionary in the training rows of some motion, and where fits start.
 
     Arguments are as for `bayeq.likelihood.record_fit.fit_record`. The states are the regression of the smoothed rows,
-    and the motion without any term.
+    of half as many terms as often as no fit begins from that, and the motion without any term.
     """
     roles, pieces = motion.roles, motion.train
     known = _known_noise(motion)
@@ -100,11 +102,9 @@ def start_from(
     layout = replace(layout, stated=tuple(ties))
     empty = replace(empty, levels=replace(levels, layout=layout))
     task = Task(layout, series, precision, odds, tolerance=tolerance, flows=flows)
-    first = _by_rows(empty, grams, log_odds[:, :-1] > -np.inf)
-    if flows is not None:
-        whole = flows.wide(flows.narrow(task.model(first.chosen)))[task.number(first.chosen)]
-        first = replace(first, chosen=first.chosen.take(np.flatnonzero(whole)), theta=first.theta[whole])
-    return task, (first, empty)
+    first = _by_rows(task, empty, grams)
+    halves = (len(first.theta) >> k for k in range(1, len(first.theta).bit_length()))
+    return task, ((first, *(partial(_by_rows, task, empty, grams, most) for most in halves)), empty)
 
 
 def _tied(stated: Stated, layout: Layout, precision: Floats, odds: Floats) -> Stated:
@@ -167,14 +167,16 @@ def start_of_runs(motion: Motion, terms: Sequence[Expression], course: Course) -
     return task, State(NOTHING, np.zeros(0), paths, levels)
 
 
-def _by_rows(empty: State, grams: Sequence[Gram], allowed: NDArray[np.bool_]) -> State:
-    """The likeliest model of each equation as a regression of the smoothed rows; of a map with its constant.
+def _by_rows(task: Task, empty: State, grams: Sequence[Gram], most: float = math.inf) -> State:
+    """The likeliest model of each equation, of `most` terms, as a regression of the smoothed rows; of a map with its
+    constant.
 
     A map of samples that are far from zero has one, and without it samples are explained by noise.
     """
+    allowed = task.log_odds.reshape(task.layout.chains, -1)[:, :-1] > -np.inf
     chains, terms, theta, left = [], [], [], []
     for c, gram in enumerate(grams):
-        model, coef = likeliest_by_rows(gram, allowed[c])
+        model, coef = likeliest_by_rows(gram, allowed[c], most)
         index = np.flatnonzero(model)
         chains += [c] * len(index)
         terms += index.tolist()
@@ -187,16 +189,24 @@ def _by_rows(empty: State, grams: Sequence[Gram], allowed: NDArray[np.bool_]) ->
     chosen = Candidates(np.array(chains, dtype=np.int64), np.array(terms, dtype=np.int64))
     levels = empty.levels
     size = levels.discrepancy * np.clip(left, 1e-4, 1.0)
-    return replace(empty, chosen=chosen, theta=np.array(theta), levels=replace(levels, discrepancy=size))
+    found = replace(empty, chosen=chosen, theta=np.array(theta), levels=replace(levels, discrepancy=size))
+    if task.flows is None:
+        return found
+    whole = task.flows.wide(task.flows.narrow(task.model(chosen)))[task.number(chosen)]
+    return replace(found, chosen=chosen.take(np.flatnonzero(whole)), theta=found.theta[whole])
 
 
-def likeliest_by_rows(gram: Gram, allowed: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Floats]:
-    """The likeliest model of a regression, and its coefficients, (P,) each."""
+def likeliest_by_rows(
+    gram: Gram, allowed: NDArray[np.bool_], most: float = math.inf
+) -> tuple[NDArray[np.bool_], Floats]:
+    """The likeliest model of a regression, cut down to `most` terms, and its coefficients, (P,) each."""
     standard = gram.standardise(residual_scale(gram))
     first = Prior(prior_inclusion=np.where(allowed, 0.1, 0.0))
     prior = replace(first, slab_variance=learn_slab_variance(standard.gram, first))
     problem = Problem.of(standard.gram, prior)
     model = best_models(problem)[0][1]
+    while model.sum() > most:
+        model = next(move for move in neighbours(problem, model, math.inf) if move.enters is None).apply(model)
     return model, exact_posterior(problem, model, None)[0] / standard.scale * standard.target_scale
 
 
