@@ -116,6 +116,10 @@ def test_physical_needs_a_force_of_an_oscillator(tmp_path, capsys):
     assert code == 2
     assert "\na = " in out
     assert "neither a restoring term" in err
+    code, out, err = run(capsys, record, *terms, "--smooth", "none", "--physical", "--json")
+    assert code == 2
+    assert json.loads(out)["equations"][0]["target"] == "a"
+    assert "neither a restoring term" in err
 
 
 def test_forecast_table(record, tmp_path, capsys):

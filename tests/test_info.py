@@ -403,15 +403,19 @@ def test_records_in_years_say_years(tmp_path, capsys):
     k = np.arange(60.0)
     x = 3.0 * np.exp(-k / 30.0) + np.random.default_rng(0).normal(size=60) * 0.01
     path = tmp_path / "run.csv"
-    path.write_text("Year,x\n" + "".join(f"{1900 + t:.0f},{v:.5f}\n" for t, v in zip(k, x, strict=True)))
+    path.write_text("Year,x (thousands)\n" + "".join(f"{1900 + t:.0f},{v:.5f}\n" for t, v in zip(k, x, strict=True)))
     found = str(bq.info(path))
     assert "60 rows at 1 per year, 59 years" in found
     assert " 1/year" in found
     saved = tmp_path / "eq.json"
     arguments = ["--time", "Year", "--chain", "x", "--dictionary", "polynomial:1", "--save", str(saved)]
     assert main(["discover", str(path), *arguments]) == 0
-    assert "60 rows at 1 per year, 60 years, of run.csv" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "60 rows at 1 per year, 60 years, of run.csv" in out
+    assert re.search(r"tau\[x\] .* year ", out)
+    assert "/s" not in out
     assert bq.load(saved).data.clock == "year"
+    assert bq.load(saved)[0].units["dx"] == "thousands/year"
     assert main(["predict", str(saved), str(path), "--time", "Year"]) == 0
     assert "at 1 per year, 60 years, of run.csv" in capsys.readouterr().out
 

@@ -351,10 +351,15 @@ def show_equations(
 ) -> None:
     """Print equations in a few lines, in full where that or more than them is asked for, or as one JSON object."""
     if as_json:
-        out = answer.to_dict()
-        if physical:
-            out["physical"] = {target: _plain(parameters) for target, parameters in _physical(answer).items()}
+        out, none = answer.to_dict(), None
+        try:
+            if physical:
+                out["physical"] = {target: _plain(parameters) for target, parameters in _physical(answer).items()}
+        except InputError as error:
+            none = error
         click.echo(json.dumps(out, allow_nan=False))
+        if none is not None:
+            raise none
         return
     if not (verbose or conditional or physical or explain):
         from bayeq.equation.brief import brief

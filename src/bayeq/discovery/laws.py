@@ -67,9 +67,12 @@ def with_law_terms(
     laws = [chain.law for chain in roles.hidden if chain.law is not None]
     if not laws:
         return tuple(terms), allowed, roles
-    used = frozenset[str]().union(*(one.names for one in (*terms, *laws)))
+    used = frozenset[str]().union(*(one.names for one in terms))
+    for _ in laws:  # a state that another one is driven by
+        others = (chain.law.names for chain in roles.hidden if chain.law is not None and chain.names[0] in used)
+        used = used.union(*others)
     for chain in roles.hidden:
-        if chain.names[0] not in used:
+        if chain.law is not None and chain.names[0] not in used:
             raise InputError(f"law: no term uses {chain.names[0]}: name it in the dictionary")
     for law in laws:
         if len(law.unknowns) > MOST_UNKNOWN:

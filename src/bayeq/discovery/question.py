@@ -523,12 +523,12 @@ def _constrained(known: Sequence[str], design: Design, method: str) -> tuple[Con
 
 
 def _units(records: Sequence[Record], roles: Roles, log: WarningLog) -> dict[str, str]:
-    units, conflicts = channel_units([record.units for record in records], roles.chains, roles.inputs)
+    units, conflicts = channel_units([record.units for record in records], roles.chains, roles.inputs, records[0].clock)
     log.extend(conflicts, DataWarning)
     if any(map(counts_rows, records)) and not roles.discrete:  # derivatives that are not measured are per sample
         return {name: unit for name, unit in units.items() if name in roles.channels}
     if roles.timed:
-        units[TIME] = "s"
+        units[TIME] = records[0].clock
     return units
 
 

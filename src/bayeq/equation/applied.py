@@ -123,7 +123,7 @@ class Prediction:
 
 
 def as_equations_have_them(equations: Equations, record: Record) -> tuple[Record, list[str]]:
-    """A record in the units of the equations, and what was converted.
+    """A record in the units of the equations, and what was converted or taken to be in them.
 
     InputError for a unit that cannot be converted, or a time that is known where that of the equations is not, or the
     reverse.
@@ -140,9 +140,11 @@ def as_equations_have_them(equations: Equations, record: Record) -> tuple[Record
             " rate (--fs, fs=)"
         )
     wanted = {name: unit for equation in equations for name, unit in equation.units.items()}
-    notes = []
-    for name in equations.roles.channels:
-        if name not in record.channels or name not in record.units or name not in wanted:
+    named = [name for name in equations.roles.channels if name in record.channels and name in wanted]
+    bare = [name for name in named if name not in record.units]
+    notes = [f"{where} has no unit of {', '.join(bare)}: {_taken([wanted[name] for name in bare])}"] if bare else []
+    for name in named:
+        if name in bare:
             continue
         stated = record.units[name]
         factor = conversion(stated, wanted[name])
@@ -155,6 +157,10 @@ def as_equations_have_them(equations: Equations, record: Record) -> tuple[Record
             record = record.with_channels({name: factor * record[name]}, {name: wanted[name]})
             notes.append(f"{name} was converted from {stated} to {wanted[name]}")
     return record, notes
+
+
+def _taken(units: Sequence[str]) -> str:
+    return f"taken to be in {', '.join(dict.fromkeys(units))}, as the equations have it (else --units)"
 
 
 def apply_to(equations: Equations, records: Sequence[Record], draws: int = 200, seed: int = 0) -> Prediction:

@@ -91,7 +91,7 @@ def oscillator_parameters(
         if all(one.chain.order == 1 for one in eq.equations):
             laws = [one.law for one in eq.equations]
             hidden = {one.target: _fed_back(one, [other for other in eq.equations if other.chain.hidden]) for one in eq}
-            units = eq.equations[0].units
+            units = {**eq.equations[0].units, TIME: eq.data.clock}
             return first_order_parameters(laws, eq.inputs, units, without=hidden, draws=draws, seed=seed)
         named_ones = [one.target for one in eq.equations if one.chain.order == 2]
         if not named_ones:
@@ -240,7 +240,7 @@ def first_order_parameters(
             elif name != x and name not in other:
                 other.append(name)
         meaning = f"time constant of {x}{_without(without[law.chain.target])}"
-        found += [quantity(f"tau[{x}]", meaning, 1.0 / rate, "s"), *gains]
+        found += [quantity(f"tau[{x}]", meaning, 1.0 / rate, units[TIME]), *gains]
     if not found:
         raise InputError("no state decays by a linear term of its own: there is no time constant")
     return PhysicalParameters(tuple(found), tuple(other))

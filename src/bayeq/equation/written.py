@@ -177,12 +177,12 @@ def _is_plain(path: Sequence[Node]) -> bool:
 
 
 def channel_units(
-    stated: Sequence[Mapping[str, str]], chains: Sequence[Chain], inputs: Sequence[str]
+    stated: Sequence[Mapping[str, str]], chains: Sequence[Chain], inputs: Sequence[str], clock: str
 ) -> tuple[dict[str, str], list[str]]:
     """Units of states, targets and inputs, as far as each of the records states them, and the conflicts.
 
-    A derivative that is not measured has the unit of the nearest one that is, over or times seconds. A conflict is a
-    sentence on a channel whose unit depends on the record; its unit is left out.
+    A derivative that is not measured has the unit of the nearest one that is, over or times that of time. A conflict
+    is a sentence on a channel whose unit depends on the record; its unit is left out.
     """
     units: dict[str, str] = {}
     conflicts = []
@@ -198,7 +198,7 @@ def channel_units(
             if chain.measured[k] is None and known:
                 nearest = min((abs(k - other), other) for other in known)[1]
                 power = Fraction(0 if chain.discrete else nearest - k)
-                units[name] = written_unit(multiply_units(parse_unit(units[chain.names[nearest]]), {"s": power}))
+                units[name] = written_unit(multiply_units(parse_unit(units[chain.names[nearest]]), {clock: power}))
     return units, conflicts
 
 

@@ -36,7 +36,14 @@ _TIME_NAME = re.compile(
     rf"(?:(?:elapsed|relative|rel|absolute|abs|total|test|run|running|sample|date)_)?(?:{'|'.join(_TIME_WORDS)})"
     r"(?:_?stamp)?(?:_(?P<unit>s|sec|ms|msec|us|µs|μs|ns|min|h))?"
 )
-_YEARS = {"year", "years", "yr", "yrs", "jahr", "jahre", "annee", "année", "années", "anno", "anni", "año", "años"}
+# Names of times that are units themselves, of columns and of stated units.
+_UNIT_NAMES: dict[str, str] = {
+    **dict.fromkeys(("year", "years", "yr", "yrs", "jahr", "jahre", "annee", "année", "années"), "year"),
+    **dict.fromkeys(("anno", "anni", "año", "años"), "year"),
+    **dict.fromkeys(("day", "days", "tag", "tage", "jour", "jours", "dag", "giorno", "giorni", "día", "días"), "d"),
+    **dict.fromkeys(("hour", "hours", "stunde", "stunden", "heure", "heures"), "h"),
+    **dict.fromkeys(("minute", "minutes", "minuten"), "min"),
+}
 _UNIT = re.compile(r"^(?P<name>.*?)\s*(?:\[(?P<square>[^\[\]]*)\]|\((?P<round>[^()\[\]]*)\))$", re.DOTALL)
 
 
@@ -130,11 +137,11 @@ def time_unit(name: str) -> str | None:
 
     Examples
     --------
-    >>> time_unit("time_ms"), time_unit("Zeit"), time_unit("x_ms"), time_unit("Year")
-    ('ms', None, None, 'year')
+    >>> time_unit("time_ms"), time_unit("Zeit"), time_unit("x_ms"), time_unit("Year"), time_unit("Tag")
+    ('ms', None, None, 'year', 'd')
     """
     match = _TIME_NAME.fullmatch(name.casefold())
-    return match["unit"] if match else "year" if name.casefold() in _YEARS else None
+    return match["unit"] if match else _UNIT_NAMES.get(name.casefold())
 
 
 def rate_and_length(rate: str, length: str, clock: str) -> tuple[str, str]:
@@ -147,8 +154,18 @@ def rate_and_length(rate: str, length: str, clock: str) -> tuple[str, str]:
     """
     if clock == "s":
         return f"{rate} Hz", f"{length} s"
-    one = "year" if clock.casefold() in _YEARS else clock
-    return f"{rate} per {one}", f"{length} {'years' if one == 'year' else one}"
+    return f"{rate} per {clock}", f"{length} {'years' if clock == 'year' else clock}"
+
+
+def unit_of_clock(unit: str) -> str:
+    """A unit of time that is no number of seconds, as it is written.
+
+    Examples
+    --------
+    >>> unit_of_clock("Jahre"), unit_of_clock("month")
+    ('year', 'month')
+    """
+    return _UNIT_NAMES.get(unit.casefold(), unit)
 
 
 # Exponents of symbols, in the order in which they occur.

@@ -13,6 +13,7 @@ import numpy as np
 from bayeq.arrays import Floats
 from bayeq.errors import RecordError, UnknownNameError, require_kind
 from bayeq.records.columns import Columns, Headers, Request, assemble
+from bayeq.records.names import unit_of_clock
 from bayeq.records.validate import (
     as_column,
     as_time,
@@ -330,7 +331,7 @@ class Record:
     @property
     def clock(self) -> str:
         """Unit of time: "s", or the stated one where it is no number of seconds, as "year"."""
-        return "s" if "t" in self.channels else self.units.get("t", "s")
+        return "s" if "t" in self.channels else unit_of_clock(self.units.get("t", "s"))
 
     def is_uniform(self) -> bool:
         """Whether all time steps are the same to a thousandth; False without time."""
