@@ -399,6 +399,25 @@ def test_a_speed_that_swings_or_is_driven_is_a_velocity():
     assert bq.info(driven).guess.chains == ((None, "v", None),)
 
 
+def test_names_in_a_structure_say_what_they_say_without_it():
+    t, x, _, a = motion()
+    force = a + 0.4 * x
+    guess = bq.info(bq.Record({"rig_x": x, "rig_a": a, "rig_F": force}, t)).guess
+    assert guess.chains == (("rig_x", None, "rig_a"),)
+    assert guess.inputs == ("rig_F",)
+
+
+def test_a_level_under_an_inflow_is_of_first_order():
+    rng, t, h, levels = np.random.default_rng(0), 60.0 * np.arange(600.0), 2.0, []
+    inflow = 1.0 + 0.3 * np.convolve(rng.standard_normal(680), np.ones(81) / 9.0, mode="valid")
+    for q in inflow:
+        h += 60.0 * (2e-3 * q - 1.2e-3 * np.sqrt(h))
+        levels.append(h)
+    record = bq.Record({"Fuellstand": np.array(levels), "Zulauf": inflow}, t, {"Fuellstand": "m", "Zulauf": "l/s"})
+    guess = bq.info(record).guess
+    assert (guess.chains, guess.inputs) == ((("Fuellstand",),), ("Zulauf",))
+
+
 def test_records_in_years_say_years(tmp_path, capsys):
     k = np.arange(60.0)
     x = 3.0 * np.exp(-k / 30.0) + np.random.default_rng(0).normal(size=60) * 0.01

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -404,3 +405,14 @@ def test_intervals_given_terms_that_are_not_determined_are_not_printed():
     assert eq.physical()["m"].sd > 0.0  # where it is asked for
     assert eq.to_dict()["parameters"] == []
     assert "natural frequency" not in brief(eq)
+
+
+def test_the_inertia_of_a_shaft_is_none_of_a_mass():
+    record = bq.simulate("linear", n=400, seed=2, noise=0.01)
+    units = {"x": "deg", "v": "deg/s", "a": "deg/s^2", "u": "N*m"}
+    turning = bq.Record.from_arrays({name: record[name] for name in "xvau"}, time=record.time, units=units)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        eq = bq.discover(turning, chains="x:v:a", inputs="u", dictionary="x, v, u")
+    meanings = {one.symbol: one.meaning for one in eq.physical()}
+    assert meanings["m"] == "moment of inertia"

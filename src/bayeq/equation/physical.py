@@ -193,12 +193,15 @@ def physical_parameters(
     mixed = [name for name in coefficients if _is_mixed(parse(name), law.chain.states, [*inputs, TIME])]
     quantities = _modal(theta, [*without, *mixed])
     weight = _mass(mass, None if driven is None else coefficients[driven] * system.scale_force(), draws)
+    inertia = "moment of inertia" if system.turns else "mass"
     if weight is not None:
-        quantities.append(quantity("m", "mass", weight, system.mass()))
+        quantities.append(quantity("m", inertia, weight, system.mass()))
     per = "" if weight is not None else "/m"
     for f in forces:
         values = -theta[f.symbol] * (1.0 if weight is None else weight)
-        meaning = f.meaning if weight is not None else f"{f.meaning} per unit of mass"
+        meaning = (
+            f.meaning if weight is not None else f"{f.meaning} per unit of {'inertia' if system.turns else 'mass'}"
+        )
         quantities.append(quantity(f.symbol + per, meaning, values, system.unit(f.powers, weight is not None)))
     if position is not None:
         quantities.append(quantity("x0", "position of rest", position * system.per_length, system.displacement()))

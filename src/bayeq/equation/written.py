@@ -231,8 +231,10 @@ class OscillatorUnits:
         self.per_length = self.per_force = 1.0
         # a channel's number is this ratio times the derivative's of the displacement
         self.velocity, self.acceleration = (_ratio(units, chain, k, gains[k] if gains else None) for k in (1, 2))
+        stated = self.length
         if self.length is not None:
             self.per_length, self.length = in_si(self.length) or (1.0, self.length)
+        self.turns = bool(stated) and not self.length  # whether the displacement is an angle
         if self.force is not None:
             self.per_force, self.force = in_si(self.force) or (1.0, self.force)
         elif in_kg and self.length in ({}, {"m": Fraction(1)}):

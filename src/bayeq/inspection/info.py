@@ -16,7 +16,7 @@ from bayeq.inspection.channels import describe_channels
 from bayeq.inspection.contents import Proposal, Reading, RecordInfo, propose
 from bayeq.inspection.first_order import of_first_order
 from bayeq.inspection.links import Link, correlations, drivers, find_links, first_order, rough_channels, short_record
-from bayeq.inspection.roles import INPUT, REFERENCE, Guess, clue_of, guess_roles
+from bayeq.inspection.roles import INPUT, REFERENCE, Guess, clues_of, guess_roles
 from bayeq.inspection.rows import Experiments, find_bad, gaps_of, sort_rows, starts_from_rest
 from bayeq.records import Record, as_record, check_record, read, without_copies
 from bayeq.records.findings import Finding
@@ -145,7 +145,7 @@ def _described(experiments: Experiments, name: str, reading: Reading) -> RecordI
     records = experiments.records
     channels = describe_channels(records)
     moving = [key for key, channel in channels.items() if not channel.constant]
-    clues = {key: clue_of(key, channels[key].unit) for key in channels}
+    clues = clues_of({key: one.unit for key, one in channels.items()})
     short = short_record(records, channels)
     links = find_links(short, moving)
     derived = {key for link in links for key in (link.below, link.above)}

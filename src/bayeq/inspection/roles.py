@@ -29,8 +29,9 @@ QUANTITIES: Mapping[int, str] = {
     1: "vel velo velocity speed rate geschwindigkeit drehzahl vitesse velocidad velocita",
     2: "acc accel acceleration beschl beschleunigung aceleracion accelerazione",
     INPUT: "force kraft torque moment couple effort fuerza forza voltage volt spannung tension current strom courant"
-    " power leistung puissance heizleistung pwm duty command cmd commanded commande befehl stell",
-    STATE: "level niveau pegel fullstand temp temperature temperatur concentration konzentration",
+    " power leistung puissance heizleistung pwm duty command cmd commanded commande befehl stell"
+    " inflow zulauf zufluss flow durchfluss debit caudal",
+    STATE: "level niveau pegel fullstand fuellstand temp temperature temperatur concentration konzentration",
 }
 SENSORS: Mapping[int, str] = {
     0: "lvdt laser encoder poti potentiometer",
@@ -128,6 +129,20 @@ class Guess:
             if name in chain:
                 return "state" if len(chain) == 1 else TITLES[chain.index(name)]
         return ""
+
+
+def clues_of(units: Mapping[str, str]) -> dict[str, Clue]:
+    """What the units and names of the channels of a record say; what all names begin with, and says nothing, is left
+    out: F of rig_F, beside rig_x.
+
+    Examples
+    --------
+    >>> {name: clue.order for name, clue in clues_of({"rig_x": "", "rig_F": ""}).items()}
+    {'rig_x': 0, 'rig_F': -1}
+    """
+    first = {name.rpartition("_")[0] for name in units}
+    plain = len(units) > 1 and len(first) == 1 and _order_of_name(_parts("".join(first)))[0] is None
+    return {name: clue_of(name.rpartition("_")[2] if plain else name, unit) for name, unit in units.items()}
 
 
 def clue_of(name: str, unit: str) -> Clue:
@@ -370,7 +385,7 @@ def _chains(
         states += explained
     for name in states:
         share = f": the channels explain {100 * min(first[name], 0.999):.1f} % of its changes" if name in first else ""
-        reasons[name] = f"{clues[name].why or 'a state'} of first order{share}"
+        reasons[name] = f"a state of first order{', by ' * bool(clues[name].why)}{clues[name].why}{share}"
     left = [name for name in motion if name not in states]
     counts = Counter(clues[name].order for name in left)
     alone = max(counts.values(), default=0) <= 1
