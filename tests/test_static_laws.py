@@ -144,7 +144,7 @@ def test_the_likelihood_of_static_laws_has_its_derivatives(record: bq.Record) ->
     motion = estimate_motion([record], roles)
     design = build_design(terms, motion)
     with np.errstate(all="ignore"):
-        task, (state, _) = start_from(motion, terms, design.train, np.zeros((1, 4)), None)
+        task, ((state, *_), _) = start_from(motion, terms, design.train, np.zeros((1, 4)), None)
     levels = replace(state.levels, discrepancy=0.01 * state.levels.target)
     state, linears, precision = replace(state, levels=levels), task.linearised(state), task.precision_of(state)
     found = marginal(linears, state, levels, precision)
