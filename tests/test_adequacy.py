@@ -176,6 +176,7 @@ def test_verdicts_from_the_worst():
             "the constant changes by +5 % over the record (p < 0.0001)",
         ),
         (verdict_of(none, None, None, changing=more._replace(relative=-3.0)), "nearly true", "changes its sign"),
+        (verdict_of(none, lacking, None, changing=more._replace(relative=-3.0)), "nearly true", "3 % of a is not"),
         (verdict_of(none, lacking, None, left=0.02, changing=less), "nearly true", "2 % of a is not explained"),
         (verdict_of(none, None, None, n_eff=(40.2, 100)), "nearly true", "100 rows tell as much as 40 independent"),
         (verdict_of(none, None, None, left=0.3), "nearly true", "30 % of a is not explained by these terms"),

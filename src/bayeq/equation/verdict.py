@@ -154,13 +154,9 @@ def doubted(
     share = left if left is not None else 0.0 if lacking is None else lacking.size
     unexplained = f"{percentages({'': share}).strip()} of {target} is not explained by these terms"
     careful = "parameters may be off by more than their intervals say"
-    if changing is not None and changing.share > share * math.sqrt(0.5):  # most of what is not explained
-        size = "its sign" if abs(changing.relative) > 2.0 else f"by {100.0 * changing.relative:+.2g} %"
-        return Verdict(
-            "nearly true",
-            f"{changing.of} changes {size} over the record (p {_chance(changing.p)})",
-            f"{careful}: answer parts of the record apart (--rows), or offer t times the term",
-        )
+    # most of what is not explained, by a coefficient that keeps its sign: others may make up for a missing term
+    if changing is not None and changing.share > share * math.sqrt(0.5) and abs(changing.relative) < 2.0:
+        return _changing(changing, careful)
     if exact < LIKELIHOOD.nearly_true and not share < LIKELIHOOD.misfit_least:
         return Verdict(
             "nearly true",
@@ -175,6 +171,8 @@ def doubted(
             f"{unexplained}, mostly at {low:.2g} to {high:.2g} {rate}",
             f"{careful}: add inputs or terms, and check the timing of the channels",
         )
+    if changing is not None:
+        return _changing(changing, careful)
     if coloured is not None:
         return Verdict(
             "nearly true",
@@ -191,6 +189,15 @@ def doubted(
     if share > MUCH:
         return Verdict("nearly true", unexplained, f"{careful}: add terms or inputs")
     return verdict
+
+
+def _changing(one: Change, careful: str) -> Verdict:
+    size = "its sign" if abs(one.relative) > 2.0 else f"by {100.0 * one.relative:+.2g} %"
+    return Verdict(
+        "nearly true",
+        f"{one.of} changes {size} over the record (p {_chance(one.p)})",
+        f"{careful}: answer parts of the record apart (--rows), or offer t times the term",
+    )
 
 
 def _chance(p: float) -> str:
