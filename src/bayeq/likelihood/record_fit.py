@@ -89,6 +89,9 @@ class RecordFit:
         ):
             return included
         # what the Gram says of models far from the fitted one is not to be relied on
+        task, best = (task, fitted) if fitted.tried else among_neighbours(task, fitted, fewer=True)
+        if best is not fitted:
+            return cls.of(task, best)
         posterior = of_gram(task, fitted.quadratic, partial(among_fitted, task=task, fitted=fitted))
         found = replace(found, posterior=posterior, nearly=Nearly.unknown(task.layout.chains))
         return found.about(found.posterior.support)

@@ -8,6 +8,7 @@ coefficients alone, so that whatever compares models goes on as if spikes were h
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -443,10 +444,11 @@ def _mixed(found: ModelSet, search: Soft, lines: dict[Sizes, float]) -> ModelSet
 MOVES = 5
 
 
-def among_neighbours(task: Task, best: Fitted) -> tuple[Task, Fitted]:
+def among_neighbours(task: Task, best: Fitted, fewer: bool = False) -> tuple[Task, Fitted]:
     """The model that single moves lead to, each compared by its own fit; with many samples the Gram suffices.
 
-    Constants inside terms are where each model has them likeliest.
+    Constants inside terms are where each model has them likeliest. With `fewer` moves only leave terms out, whatever
+    the Gram says.
     """
     if task.rows > MOST_TO_MOVE:
         return task, best
@@ -457,7 +459,8 @@ def among_neighbours(task: Task, best: Fitted) -> tuple[Task, Fitted]:
         soft = soft_of(task, best) if constants else None
         q = best.quadratic if soft is None else soft.quadratic((0.0,) * task.layout.chains)[0]
         chosen = task.narrow(best.model)
-        moves = neighbours(task.problem(q), chosen, LIKELIHOOD.neighbour_window)
+        moves = neighbours(task.problem(q), chosen, math.inf if fewer else LIKELIHOOD.neighbour_window)
+        moves = [move for move in moves if not fewer or move.enters is None]
         for move in moves[: LIKELIHOOD.neighbours]:
             model = task.wide(move.apply(chosen))
             if model.tobytes() in tried:
