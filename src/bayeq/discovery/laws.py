@@ -72,7 +72,7 @@ def with_law_terms(
         others = (chain.law.names for chain in roles.hidden if chain.law is not None and chain.names[0] in used)
         used = used.union(*others)
     for chain in roles.hidden:
-        if chain.law is not None and chain.names[0] not in used:
+        if chain.names[0] not in used:
             raise InputError(f"law: no term uses {chain.names[0]}: name it in the dictionary")
     for law in laws:
         if len(law.unknowns) > MOST_UNKNOWN:

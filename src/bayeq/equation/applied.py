@@ -142,10 +142,12 @@ def as_equations_have_them(equations: Equations, record: Record) -> tuple[Record
     wanted = {name: unit for equation in equations for name, unit in equation.units.items()}
     named = [name for name in equations.roles.channels if name in record.channels and name in wanted]
     bare = [name for name in named if name not in record.units]
-    notes = [f"{where} has no unit of {', '.join(bare)}: {_taken([wanted[name] for name in bare])}"] if bare else []
-    for name in named:
-        if name in bare:
-            continue
+    notes = []
+    if bare:
+        taken = ", ".join(dict.fromkeys(wanted[name] for name in bare))
+        has_none = f"{where} has no unit of {', '.join(bare)}"
+        notes.append(f"{has_none}: taken to be in {taken}, as the equations have it (else --units)")
+    for name in [name for name in named if name in record.units]:
         stated = record.units[name]
         factor = conversion(stated, wanted[name])
         if factor is None:
@@ -157,10 +159,6 @@ def as_equations_have_them(equations: Equations, record: Record) -> tuple[Record
             record = record.with_channels({name: factor * record[name]}, {name: wanted[name]})
             notes.append(f"{name} was converted from {stated} to {wanted[name]}")
     return record, notes
-
-
-def _taken(units: Sequence[str]) -> str:
-    return f"taken to be in {', '.join(dict.fromkeys(units))}, as the equations have it (else --units)"
 
 
 def apply_to(equations: Equations, records: Sequence[Record], draws: int = 200, seed: int = 0) -> Prediction:

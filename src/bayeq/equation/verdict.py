@@ -125,17 +125,7 @@ def doubted(
     if verdict.kind == "none" or chain.stated:
         return verdict
     if again is not None:
-        on_it = f"on it the {again.terms} candidates take {again.courses} independent courses"
-        reason = f"the motion repeats itself at {again.frequency:.4g} {rate}, and {on_it}"
-        if again.single and chain.order == 2 and not chain.discrete:
-            square = (2.0 * math.pi * again.frequency) ** 2
-            alone = f"determines that alone: {target} = -{square:.4g}*{chain.states[0]}"
-            reason = f"the motion has one frequency, {again.frequency:.4g} Hz, and {alone}; {on_it}"
-        return Verdict(
-            "not determined",
-            f"{reason}: other equations are the same there",
-            "excite more frequencies and amplitudes (noise, a sweep or a multisine: bayeq plan), or give fewer terms",
-        )
+        return _on_one_orbit(again, chain, rate)
     if reversed_channel is not None:
         return Verdict(
             "not determined",
@@ -155,7 +145,7 @@ def doubted(
     unexplained = f"{percentages({'': share}).strip()} of {target} is not explained by these terms"
     careful = "parameters may be off by more than their intervals say"
     # most of what is not explained, by a coefficient that keeps its sign: others may make up for a missing term
-    if changing is not None and changing.share > share * math.sqrt(0.5) and abs(changing.relative) < 2.0:
+    if changing is not None and changing.share > share * math.sqrt(0.5) and not changing.reverses:
         return _changing(changing, careful)
     if exact < LIKELIHOOD.nearly_true and not share < LIKELIHOOD.misfit_least:
         return Verdict(
@@ -191,8 +181,22 @@ def doubted(
     return verdict
 
 
+def _on_one_orbit(again: Repeating, chain: Chain, rate: str) -> Verdict:
+    on_it = f"on it the {again.terms} candidates take {again.courses} independent courses"
+    reason = f"the motion repeats itself at {again.frequency:.4g} {rate}, and {on_it}"
+    if again.single and chain.order == 2 and not chain.discrete:
+        square = (2.0 * math.pi * again.frequency) ** 2
+        alone = f"determines that alone: {chain.target} = -{square:.4g}*{chain.states[0]}"
+        reason = f"the motion has one frequency, {again.frequency:.4g} Hz, and {alone}; {on_it}"
+    return Verdict(
+        "not determined",
+        f"{reason}: other equations are the same there",
+        "excite more frequencies and amplitudes (noise, a sweep or a multisine: bayeq plan), or give fewer terms",
+    )
+
+
 def _changing(one: Change, careful: str) -> Verdict:
-    size = "its sign" if abs(one.relative) > 2.0 else f"by {100.0 * one.relative:+.2g} %"
+    size = "its sign" if one.reverses else f"by {100.0 * one.relative:+.2g} %"
     return Verdict(
         "nearly true",
         f"{one.of} changes {size} over the record (p {_chance(one.p)})",

@@ -59,6 +59,11 @@ class Change(NamedTuple):
     share: float  # standard deviation of what that does to the target, as a share of the target's
     p: float  # probability by chance of a change so large, were there none
 
+    @property
+    def reverses(self) -> bool:
+        """Whether the coefficient has another sign at the end."""
+        return abs(self.relative) > 2.0
+
 
 class Octave(NamedTuple):
     """Power of the innovations of a channel in an octave."""
