@@ -103,7 +103,7 @@ def test_noise_and_the_edge_of_a_force_are_no_hum(seed):
 
 def test_the_upper_end_decides_no_terms():
     record = bq.simulate("duffing", n=1500, seed=5, noise=0.02)
-    ask = {"chains": "x:v:a", "inputs": ["u"], "dictionary": FEW}
+    ask = {"chains": "x:v:a", "inputs": ["u"], "dictionary": FEW, "holdout": 0.0}
     found = [bq.discover(record, **ask, band=(0.0, high))[0].coef for high in (20.0, 400.0)]
     assert found[0] == found[1]
 

@@ -21,7 +21,7 @@ def test_records_have_the_rate_and_the_band_they_should():
 
 
 def test_displacement_alone_is_enough_where_differences_fail(monkeypatch):
-    monkeypatch.setattr("studies.channels.ROWS", 1000)
+    monkeypatch.setattr("studies.channels.ROWS", 600)
     smoothed = measure_cell("linear", "x", 1000.0, "likelihood", 2)
     naive = measure_cell("linear", "x", 1000.0, "differences", 2)
     assert smoothed["exact"] == 2
@@ -34,7 +34,7 @@ def test_displacement_alone_is_enough_where_differences_fail(monkeypatch):
 @pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
 @pytest.mark.parametrize("channels", ["x, a", pytest.param("x, v, a, 10 % of rows dropped", marks=pytest.mark.slow)])
 def test_bias_and_rms_are_those_of_the_discoveries_of_the_cell(channels, monkeypatch):
-    monkeypatch.setattr("studies.channels.ROWS", 600)
+    monkeypatch.setattr("studies.channels.ROWS", 400)
     line = measure_cell("linear", channels, 500.0, "likelihood", 2)
     errors = []
     for seed in range(2):

@@ -150,7 +150,7 @@ def test_version_and_help(capsys):
 def test_colour_on_a_terminal_only(duffing):
     leader, follower = pty.openpty()
     done = subprocess.Popen(
-        [sys.executable, "-m", "bayeq", "discover", str(duffing), *AS_MEASURED],
+        [sys.executable, "-m", "bayeq", "discover", str(duffing), *AS_MEASURED, "--dictionary", "x, v, x**3, u"],
         stdout=follower, stderr=subprocess.PIPE, env={**os.environ, "TERM": "xterm"},
     )  # fmt: skip
     os.close(follower)
@@ -186,7 +186,7 @@ def test_an_interrupt_is_one_line_and_leaves_no_half_file(tmp_path):
     target.write_text("what was there before")
     bq.simulate("duffing", n=50)  # compiled before the clock runs
     process = subprocess.Popen(
-        [sys.executable, "-m", "bayeq", "simulate", "duffing", "--n", "1500000", "-o", str(target)],
+        [sys.executable, "-m", "bayeq", "simulate", "duffing", "--n", "600000", "-o", str(target)],
         stderr=subprocess.PIPE, text=True,
         env=uncovered(),
         # tests that run in the background inherit that interrupts are ignored

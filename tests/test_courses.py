@@ -57,7 +57,7 @@ def test_runs_are_driven_by_inputs_as_they_were_found(kind, tmp_path):
     record, unseen = commanded(1, kind).slice(0, 500), commanded(2, kind).slice(0, 1200)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", BayeqWarning)
-        eq = bq.discover(record, chains="x:v:a", inputs=["u"], dictionary="x, v, x**3, u, x**2, x*v, v*abs(v)")
+        eq = bq.discover(record, chains="x:v:a", inputs=["u"], dictionary="x, v, x**3, u, v*abs(v)")
         assert eq.verdict.kind == "found"
         assert eq.data.interpolation == {"u": kind}
         # of 1 % noise in what they are compared with, and steps of the force that take 1 ms: a spline errs by 13, 22 %
@@ -106,7 +106,8 @@ def test_a_force_that_is_smaller_than_the_noise_of_the_input_is_none():
     few = [*truth["a"], "x**2", "x*v", "v*abs(v)", "x**2*v"]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", BayeqWarning)
-        eq = bq.discover(record.with_channels({"u": u}), chains="x:v:a", inputs=["u"], dictionary=few)
+        asked = {"chains": "x:v:a", "inputs": ["u"], "dictionary": few, "holdout": 0.0}
+        eq = bq.discover(record.with_channels({"u": u}), **asked)
     assert set(eq[0].included) == set(truth["a"])
     assert eq[0].fit.regression.record.adequacy.lacks(0) is None
 
@@ -127,7 +128,8 @@ def test_a_held_input_behind_a_lag_is_no_further_term():
     x, v, _, u = states[:-1].T
     measured = {name: s + 0.01 * s.std() * rng.standard_normal(800) for name, s in {"x": x, "v": v}.items()}
     record = bq.Record.from_arrays({**measured, "u": u}, fs=500.0)
-    eq = bq.discover(record, chains="x:v:", inputs=["u"], dictionary="x, v, x**3, f, u", law="df = (u - f)/{tau}")
+    asked = {"chains": "x:v:", "inputs": ["u"], "dictionary": "x, v, x**3, f, u", "law": "df = (u - f)/{tau}"}
+    eq = bq.discover(record, **asked, holdout=0.0)
     assert eq[0].included == ("x", "v", "f")
     assert eq[0].coef["f"] == pytest.approx(1.0, rel=0.02)
 
@@ -163,6 +165,7 @@ def test_a_smooth_force_stays_smooth_unless_the_motion_clearly_tells():
         rng = np.random.default_rng(seed)
         channels = {"x": x, "a": a, "u": force}
         noisy = {name: one + 0.01 * one.std() * rng.standard_normal(1200) for name, one in channels.items()}
-        eq = bq.discover(bq.Record.from_arrays(noisy, time=t), chains="x::a", inputs=["u"], dictionary="x, dx, u")
+        asked = {"chains": "x::a", "inputs": ["u"], "dictionary": "x, dx, u", "holdout": 0.0}
+        eq = bq.discover(bq.Record.from_arrays(noisy, time=t), **asked)
         low, high = dict(zip([term.text for term in eq[0].terms], eq[0].ci95.tolist(), strict=True))["u"]
         assert low < 0.3125 < high

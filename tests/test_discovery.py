@@ -45,7 +45,7 @@ def test_noise_free_motion_gives_the_law_to_many_digits():
 @cache
 def in_plain_units(noisy, smooth):
     """A record, and the answer that it must give in other units too."""
-    rec = bq.simulate("duffing", n=400, seed=5, noise=0.03 if noisy else {"a": 0.02, "x": 0.005})
+    rec = bq.simulate("duffing", n=300, seed=5, noise=0.03 if noisy else {"a": 0.02, "x": 0.005})
     return rec, quietly(rec, **OSCILLATOR, smooth=smooth, dictionary=TERMS)
 
 
@@ -100,7 +100,7 @@ def test_first_order_systems_and_several_targets():
     assert [set(e.included) for e in eq] == [{"x", "y"}, {"x", "y", "x*z"}, {"z", "x*y"}]
     assert eq.states == ("x", "y", "z")
     np.testing.assert_allclose(eq.rhs(0.0, [1.0, 2.0, 3.0]), [10.0, 23.0, -6.0], rtol=1e-5)
-    estimated = quietly(rec, chains=["x", "y", "z"], dictionary="polynomial:2")
+    estimated = quietly(rec, chains=["x", "y", "z"], dictionary="x, y, z, x*y, x*z, y*z")
     assert estimated.data.estimated == ("dx", "dy", "dz")
     assert estimated[0].coef["x"] == pytest.approx(-10, rel=0.01)
     assert estimated[2].coef["x*y"] == pytest.approx(1, rel=0.01)
@@ -108,22 +108,22 @@ def test_first_order_systems_and_several_targets():
 
 def test_several_records_are_used_together():
     parts = [bq.simulate("duffing", n=500, seed=seed) for seed in range(3)]
-    eq = quietly(parts, **OSCILLATOR)
+    eq = quietly(parts, **OSCILLATOR, dictionary=TERMS)
     assert set(eq[0].included) == TRUE["duffing"]
     assert (eq.data.n, eq.data.n_train, eq.data.n_held_out) == (1500, 1200, 300)
 
 
 def test_held_out_rows_are_the_last_and_not_used():
-    rec = bq.simulate("linear", n=1000, seed=0)
-    spoiled = rec.with_channels({"a": np.where(np.arange(1000) < 750, rec["a"], -rec["a"])})
+    rec = bq.simulate("linear", n=600, seed=0)
+    spoiled = rec.with_channels({"a": np.where(np.arange(600) < 450, rec["a"], -rec["a"])})
     for smooth in ("auto", "none"):
         a, b = (quietly(r, **OSCILLATOR, dictionary=TERMS, holdout=0.25, smooth=smooth)[0] for r in (rec, spoiled))
         assert (a.scored is None) == (smooth == "none")
         assert (a.scored or a).coef == (b.scored or b).coef
         assert b.held_out.r2 < 0.5 < a.held_out.r2
-    everything = quietly(rec, **OSCILLATOR, dictionary=TERMS, holdout=0.0)
+    everything = quietly(rec, **OSCILLATOR, dictionary=TERMS, holdout=0.0, smooth="none")
     assert everything[0].held_out is None
-    assert everything.data.n_train == 1000
+    assert everything.data.n_train == 600
 
 
 def test_the_rvm_as_a_method():
@@ -239,7 +239,7 @@ def test_encoder_pendulum_chooses_the_sine():
     path = measured("multiarm_single_pendulum/SinglePendulumDataForParameterEstimation.mat")
     terms = ["th", "th**2", "th**3", "sin(th)", "cos(th)", "w", "w*abs(w)", "sign(w)"]
     # a nearly true model: what it lacks is a function of the states
-    eq = quietly(pendulum_record(path), chains=["th:w:"], dictionary=terms)
+    eq = quietly(pendulum_record(path)[:1], chains=["th:w:"], dictionary=terms)
     assert "sin(th)" in eq[0].shown
     assert not {"th", "th**2", "th**3", "cos(th)"} & set(eq[0].shown)
     assert eq[0].shown_coef["sin(th)"] == pytest.approx(64.22, rel=0.02)
@@ -251,7 +251,7 @@ def test_a_falling_body_is_a_constant():
     for seed in range(4):
         rng, t = np.random.default_rng([seed, 3]), np.arange(120) / 60.0
         record = bq.Record.from_arrays(x=20.0 - 4.905 * t**2 + 0.02 * rng.standard_normal(120), fs=60.0)
-        eq = bq.discover(record, chains="x::", dictionary="dx, dx*abs(dx)")
+        eq = bq.discover(record, chains="x::", dictionary="dx, dx*abs(dx)", holdout=0.0)
         (one,) = eq
         assert one.intercept_matters
         assert one.text.startswith("ddx = -9.")

@@ -101,6 +101,7 @@ def test_refined_rates_of_the_populations():
     assert all(abs(int(re.search(r"([+-]\d+) %", value).group(1))) <= 15 for value in refined)
 
 
+@pytest.mark.slow  # the same record and law: test_discovery
 def test_the_air_track_s_law():
     example = ran(air_track)
     found = example.blocks["found"]
@@ -142,6 +143,7 @@ def test_the_encoder_s_law_is_nearly_true():
     assert "cannot tell sign(w)" in found
 
 
+@pytest.mark.slow  # a measured pendulum's sine: test_discovery; examples that keep their page: the two above
 def test_the_pendulum_needs_friction_that_is_not_found():
     example = ran(pendulum)
     assert re.search(r"\na = -1\.33\d*\*sin\(o\)\n", example.blocks["found"])

@@ -29,7 +29,7 @@ TAU, TRUE = 0.05, {"x": -100.0, "dx": -0.8, "f": 8.0, "x**3": -300.0}
 TERMS = {"ddx": "x, dx, f, x**2, x**3, dx*abs(dx), u"}
 
 
-def actuator(seed: int, tau: float = TAU, rows: int = 900) -> bq.Record:
+def actuator(seed: int, tau: float = TAU, rows: int = 600) -> bq.Record:
     """A Duffing oscillator behind an actuator of first order; displacement and command with 2 % of noise."""
     rng = np.random.default_rng(seed)
     t = np.arange(rows) * 0.005
@@ -129,7 +129,8 @@ def test_an_actuator_s_lag_is_found_with_the_law_behind_it():
 
 def test_a_hidden_state_that_is_not_needed_is_left_out():
     with pytest.warns(bq.errors.DataWarning, match="hidden f is not needed"):
-        eq = bq.discover(actuator(2, tau=0.0), chains="x::", inputs=["u"], dictionary=TERMS, law=LAW)
+        asked = {"chains": "x::", "inputs": ["u"], "dictionary": TERMS, "law": LAW, "holdout": 0.0}
+        eq = bq.discover(actuator(2, tau=0.0), **asked)
     assert [one.target for one in eq] == ["ddx"]
     assert set(eq["ddx"].included) == {"x", "dx", "u", "x**3"}
     assert eq.hidden[0].log_odds_without > -3.0
@@ -192,9 +193,9 @@ def test_what_is_refused():
 
 
 def test_on_the_command_line(tmp_path, capsys):
-    bq.write(actuator(1, rows=600), tmp_path / "run.csv")
+    bq.write(actuator(1, rows=300), tmp_path / "run.csv")
     command = ["discover", str(tmp_path / "run.csv"), "--chain", "x::", "--input", "u", "--law", LAW, "--json"]
-    assert main([*command, "--dictionary", "ddx: x, dx, f, x**3, u"]) == 0
+    assert main([*command, "--dictionary", "ddx: x, dx, f, x**3, u", "--holdout", "0"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert [one["name"] for one in found["constants"]] == ["tau"]
     assert found["hidden"][0]["state"] == "f"
@@ -205,7 +206,7 @@ def test_on_the_command_line(tmp_path, capsys):
 # --- several values of the constants --------------------------------------------------------------------------------
 
 
-def two_lags(rows: int = 800) -> bq.Record:
+def two_lags(rows: int = 500) -> bq.Record:
     """A room of time constant 2 s behind a sensor of .6 s."""
     rng, t = np.random.default_rng(1), np.arange(rows) * 0.05
     w, phase = rng.uniform(0.1, 3.0, 8), rng.uniform(0.0, 2.0 * np.pi, 8)
@@ -218,7 +219,7 @@ def two_lags(rows: int = 800) -> bq.Record:
 
 
 def through(law: str, dictionary: str = "T, s, u, s**2") -> bq.Equations:
-    return bq.discover(two_lags(), chains="s", inputs=["u"], dictionary=dictionary, law=law)
+    return bq.discover(two_lags(), chains="s", inputs=["u"], dictionary=dictionary, law=law, holdout=0.0)
 
 
 def test_two_lags_in_a_row_may_change_places():

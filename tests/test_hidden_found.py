@@ -85,7 +85,7 @@ def test_what_is_printed_of_it(tmp_path, capsys):
 
 
 def test_another_scale():
-    eq = found(oscillator(1, rows=400), constraints="a: r ~ -1 +- 1e-6")
+    eq = found(oscillator(1, rows=400), constraints="a: r ~ -1 +- 1e-6", holdout=0.0)
     assert set(eq["dr"].included) == set(TRUE["dr"])
     coef = eq["dr"].shown_coef
     assert coef["v"] == pytest.approx(ALPHA, rel=0.05)
@@ -94,14 +94,14 @@ def test_another_scale():
 
 def test_a_state_that_is_not_needed_is_left_out():
     with pytest.warns(bq.errors.DataWarning, match="hidden r is not needed"):
-        eq = found(oscillator(2, "cubic", noise=0.02))
+        eq = found(oscillator(2, "cubic", rows=350, noise=0.02), holdout=0.0)
     assert [one.target for one in eq] == ["a"]
     assert set(eq["a"].included) == {"x", "v", "u", "x**3"}
 
 
 def test_forms_that_say_the_same_are_told():
     """With v, x, u and r alone every sum of r and these obeys a law of the same terms."""
-    eq = found(oscillator(3, "maxwell", rows=700, noise=0.02), hidden="v, r, x, u")
+    eq = found(oscillator(3, "maxwell", rows=400, noise=0.02), hidden="v, r, x, u", holdout=0.0)
     assert eq.verdict.kind == "not determined"
     assert eq.hidden[0].log_odds_without < -100.0
 
@@ -167,6 +167,7 @@ def test_saved_answers_run_as_before(tmp_path):
 def test_on_the_command_line(tmp_path, capsys):
     bq.write(oscillator(1, rows=300), tmp_path / "run.csv")
     command = ["discover", str(tmp_path / "run.csv"), "--chain", "x:v:a", "--chain", "~r:", "--input", "u", "--json"]
+    command += ["--holdout", "0"]
     assert main([*command, "--dictionary", "a: x, v, u, r; dr: v, abs(v)*r, v*abs(r)"]) == 0
     read = json.loads(capsys.readouterr().out)
     assert read["hidden"][0]["stated"] is False
@@ -263,7 +264,7 @@ def test_a_state_that_is_a_factor_alone_is_found():
     noisy = y + 0.01 * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape)
     record = bq.Record.from_arrays({"x": noisy[0], "y": noisy[1]}, time=t)
     dictionary = {"dx": "x, y, x**2", "dy": "x, y, x*z, x*y", "dz": "x, z, x*y, x**2"}
-    eq = bq.discover(record, chains=["x", "y", "~z:"], dictionary=dictionary)
+    eq = bq.discover(record, chains=["x", "y", "~z:"], dictionary=dictionary, holdout=0.0)
     assert [set(one.included) for one in eq] == [{"x", "y"}, {"x", "y", "x*z"}, {"z", "x*y"}]
     assert eq["dy"].shown_coef["x*z"] == pytest.approx(1.0, rel=1e-4)
     assert eq["dz"].shown_coef["x*y"] == pytest.approx(-1.0, rel=0.05)

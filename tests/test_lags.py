@@ -56,7 +56,8 @@ def test_lag_of_a_force_is_learned(late, answer):
 
 def test_without_it_the_damping_is_wrong(late, answer):
     record, truth, _ = late
-    damping = [eq.coefficients()["a"]["v"] for eq in (answer, quietly(record, dictionary=list(truth)))]
+    untold = quietly(record, dictionary=list(truth), holdout=0.0)
+    damping = [eq.coefficients()["a"]["v"] for eq in (answer, untold)]
     told, untold = (abs(found / truth["v"] - 1.0) for found in damping)
     assert told < 0.03
     assert untold > 0.1
@@ -65,7 +66,7 @@ def test_without_it_the_damping_is_wrong(late, answer):
 @pytest.mark.parametrize("seed", [3, pytest.param(4, marks=pytest.mark.slow)])
 def test_lag_of_a_channel_of_the_motion(seed):
     record, truth, name, lag = draw_record("motion", "x:v:a", 0.02, seed)
-    found = quietly(record, lag_sd={name: SD})
+    found = quietly(record, lag_sd={name: SD}, holdout=0.0)
     assert abs(found.data.sensors.lags[name].value - lag) < 3.0 * found.data.sensors.lags[name].sd
     assert set(found[0].included) == set(truth)
 
@@ -73,7 +74,7 @@ def test_lag_of_a_channel_of_the_motion(seed):
 def test_record_without_a_lag_loses_nothing():
     record, truth, _, _ = draw_record("none", "x:v:a", 0.02, 5)
     few = ["x", "v", "u", "x**2", "x**3"]
-    asked, plain = quietly(record, lag_sd={"u": SD}, dictionary=few), quietly(record, dictionary=few)
+    asked, plain = (quietly(record, dictionary=few, holdout=0.0, **more) for more in ({"lag_sd": {"u": SD}}, {}))
     assert asked[0].included == plain[0].included
     assert set(plain[0].included) == set(truth)
     assert np.allclose(asked[0].posterior.sd, plain[0].posterior.sd, rtol=0.1)
@@ -167,7 +168,7 @@ def test_command_line(late, tmp_path, capsys):
     run = ["discover", str(tmp_path / "run.csv"), "--chain", "x:v:a", "--input", "u", "--dictionary", "x, v, u, x**3"]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        assert main([*run, "--lag-sd", "u=0.03", "--json"]) == 0
+        assert main([*run, "--lag-sd", "u=0.03", "--json", "--holdout", "0"]) == 0
     lag = json.loads(capsys.readouterr().out)["data"]["lags"]["u"]
     assert abs(lag["value"] - late[2]) < 3.0 * lag["sd"]
     assert lag["prior_sd"] == SD

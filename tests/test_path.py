@@ -77,15 +77,15 @@ def test_every_size_against_all_models_written_out(seed):
 def test_the_search_misses_hardly_any_of_them():
     # no theorem: over 500 such problems of ten columns, 5500 sizes, it missed none; narrower (WIDTH 6) it missed three
     missed = sizes = 0
-    for seed in range(60):
+    for seed in range(30):
         D, y = awkward(1000 + seed, P=10)
         p = Problem.of(Gram.from_data(D, y), Prior())
         exact = by_size._by_enumeration(p, range(11))
         found = by_size._by_search(p, range(11), [])
         missed += sum(log_evidence(p, a) < log_evidence(p, b) - 1e-6 for a, b in zip(found, exact, strict=True))
         sizes += len(found)
-    assert sizes == 660
-    assert missed <= 2
+    assert sizes == 330
+    assert missed <= 1
 
 
 def test_no_term_more_less_or_other_improves_on_the_path_of_a_large_dictionary(eq):

@@ -120,7 +120,7 @@ def test_the_command_line_says_so_in_one_line(tmp_path):
     "code",
     [
         "import bayeq",
-        "from bayeq.cli.app import main; main(['--help'])",
+        pytest.param("from bayeq.cli.app import main; main(['--help'])", marks=pytest.mark.slow),
         "from bayeq.cli.app import main; main(['discover', '--help'])",
         "import bayeq; bayeq.simulate('duffing', n=9); from bayeq.discovery import discover",
         "from bayeq.dictionary import *; build_dictionary('oscillator + sin(x) - v', Variables(('x', 'v'), ('u',)))",

@@ -26,7 +26,7 @@ def measured(system, share, seed, constant=0.0):
 
 
 def lorenz(record, noise):
-    return bq.discover(record, chains=list(STATES), dictionary="polynomial:2", holdout=0.0, noise=noise)
+    return bq.discover(record, chains=list(STATES), dictionary="x, y, z, x*y, x*z", holdout=0.0, noise=noise)
 
 
 @pytest.mark.parametrize("constant", [0.0, 0.02, 0.3])
@@ -76,8 +76,8 @@ def test_a_force_and_its_motion():
     record, truth = measured("duffing", 0.05, 7)
     noise = {"u": "5% of reading", "x": "% of reading"}
     record = record.slice(0, 2000)
-    few = "x, v, x**2, x**3, x*v, v*abs(v), u"
-    eqs = bq.discover(record, displacement="x", velocity="v", acceleration="a", force="u", noise=noise, dictionary=few)
+    asked = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u", "holdout": 0.0}
+    eqs = bq.discover(record, **asked, noise=noise, dictionary="x, v, x**2, x**3, x*v, v*abs(v), u")
     assert set(eqs[0].included) == set(truth["a"])
     assert eqs.data.sensors.of_reading == {"u": 0.05, "x": 0.0}
     assert eqs.data.sensors.noise["u"] == pytest.approx(0.05 * np.sqrt(np.mean(record["u"] ** 2)), rel=0.01)
@@ -89,7 +89,7 @@ def test_a_force_and_its_motion():
 def test_on_the_command_line_and_saved(tmp_path, capsys):
     record, _ = measured("vanderpol", 0.1, 3)
     bq.write(record, tmp_path / "r.csv")
-    words = ["discover", str(tmp_path / "r.csv"), "--chain", "x", "--chain", "y", "--dictionary", "polynomial:3"]
+    words = ["discover", str(tmp_path / "r.csv"), "--chain", "x", "--chain", "y", "--dictionary", "x, y, x**3, x**2*y"]
     noise = ["--noise", "x=10% of reading", "--noise", "y=% of reading"]
     assert main([*words, *noise, "--json", "--save", str(tmp_path / "eq.json")]) == 0
     data = json.loads(capsys.readouterr().out)["data"]

@@ -48,7 +48,7 @@ def test_functions_are_isotropic():
 
 @pytest.fixture(scope="module")
 def lorenz():
-    record = bq.simulate("lorenz", n=600, noise=0.02, seed=3)
+    record = bq.simulate("lorenz", n=400, noise=0.02, seed=3)
     return bq.discover(record, chains=["x", "y", "z"], dictionary="polynomial:2", holdout=0).equations[0]
 
 

@@ -58,7 +58,7 @@ def test_the_terms_of_a_static_law_are_found_with_noise_in_all_channels(answer: 
 def test_noisy_inputs_do_not_shrink_coefficients_as_they_do_in_a_regression() -> None:
     noisy = damper(noise=0.1)
     ask = {"target": "F", "inputs": ["x", "v"], "dictionary": "x, v, sign(v)"}
-    by_likelihood, by_rows = (bq.discover(noisy, smooth=how, **ask)[0] for how in ("auto", "none"))
+    by_likelihood, by_rows = (bq.discover(noisy, smooth=how, **ask, holdout=0.0)[0] for how in ("auto", "none"))
     friction = [law.table().set_index("term").loc["sign(v)"] for law in (by_likelihood, by_rows)]
     assert abs(friction[0].coef - 9.0) < 3.5 * friction[0].sd
     assert friction[1].coef < 9.0 - 3.0 * friction[1].sd
@@ -106,6 +106,7 @@ def test_constants_inside_terms_and_several_targets() -> None:
         target="F, G",
         inputs=["v"],
         dictionary={"F": "v, tanh(v/{v0})", "G": "v, v**3"},
+        holdout=0.0,
     )
     assert [set(law.included) for law in found] == [{"v", "tanh(v/{v0})"}, {"v"}]
     assert found[0].shown_constants[0].value == pytest.approx(0.3, rel=0.1)
@@ -113,12 +114,12 @@ def test_constants_inside_terms_and_several_targets() -> None:
 
 
 def test_a_static_law_beside_an_equation_of_motion_is_of_its_states() -> None:
-    moving = bq.simulate("duffing", n=1500, seed=2)
+    moving = bq.simulate("duffing", n=800, seed=2)
     force = 500.0 * moving["x"] + 1.5 * moving["v"]
     force += 0.02 * force.std() * np.random.default_rng(1).standard_normal(len(force))
     both = moving.with_channels({"F": force}, {"F": "N"})
     terms = {"a": "x, v, x**3, u", "F": "x, v, x**3"}
-    found = bq.discover(both, chains="x:v:a", target="F", inputs=["u"], dictionary=terms)
+    found = bq.discover(both, chains="x:v:a", target="F", inputs=["u"], dictionary=terms, holdout=0.0)
     assert set(found["a"].included) == {"x", "v", "x**3", "u"}
     assert set(found["F"].included) == {"x", "v"}
     assert found.rhs(0.0, [0.01, 0.2], [1.0]).shape == (2,)
@@ -128,7 +129,7 @@ def test_a_static_law_beside_an_equation_of_motion_is_of_its_states() -> None:
 
 def test_a_static_law_needs_no_time(record: bq.Record) -> None:
     timeless = bq.Record.from_arrays({name: record[name] for name in ("x", "v", "F")})
-    found = bq.discover(timeless, target="F", inputs=["x", "v"], dictionary=TERMS)
+    found = bq.discover(timeless, target="F", inputs=["x", "v"], dictionary=TERMS, holdout=0.0)
     assert set(found[0].included) == set(TRUE)
     assert not [text for text in found.warnings if "per sample" in text]
 
@@ -233,7 +234,8 @@ def test_intervals_beside_a_constant_hold_what_likely_models_without_it_say() ->
     from studies.static_laws import draw_record
 
     record, truth, _ = draw_record("offered", 0.05, 300002)
-    eq = bq.discover(record, target="F", inputs=["x", "v"], dictionary="x, v, v*abs(v), sign(v), tanh(v/{v0})")[0]
+    asked = {"target": "F", "inputs": ["x", "v"], "dictionary": "x, v, v*abs(v), sign(v), tanh(v/{v0})"}
+    eq = bq.discover(record, **asked)[0]
     shares = dict(zip(eq.posterior.names, eq.posterior.pip, strict=True))
     assert shares["v"] + shares["tanh(v/{v0})"] > 0.99
     j = list(eq.posterior.names).index("v*abs(v)")

@@ -78,7 +78,7 @@ def written(record, path):
 # --- files -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["r.parquet", "r.csv", "r.tsv", "r.h5", "r.npy"])
+@pytest.mark.parametrize("name", ["r.parquet", "r.csv", pytest.param("r.tsv", marks=pytest.mark.slow), "r.h5", "r.npy"])
 def test_rows_of_a_file_are_those_that_reading_it_gives(name, record, tmp_path):
     path = written(record, tmp_path / name)
     whole = bq.read(path)
@@ -476,7 +476,7 @@ def test_an_interrupted_command_says_where_its_sums_are_and_goes_on_to_the_same_
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setattr("bayeq.cli.terminal.PATIENCE", 100.0)
-    path = written(record, tmp_path / "r.csv")
+    path = written(record.take(slice(0, 25_000)), tmp_path / "r.csv")
     channels = ["--disp", "x", "--vel", "v", "--acc", "a", "--force", "u"]
     command = ["discover", path.name, *channels, "--smooth", "none", "--stream"]
     assert main(command) == 0
