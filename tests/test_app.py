@@ -293,7 +293,9 @@ def test_a_session_keeps_what_is_open_when_another_file_is_bad(tmp_path):
     assert not session.workspace.path.exists()
 
 
-def test_a_session_reads_again_and_takes_further_records():
+def test_a_session_reads_again_and_takes_further_records(monkeypatch):
+    # without the report, whose pictures take most of the time
+    monkeypatch.setattr("bayeq.app.session.discover_command", lambda *given: discover_command(*given)[:-2])
     session = Session(Workspace())
     first, second = (session.workspace.new_folder() / "run.csv" for _ in range(2))
     for seed, path in enumerate((first, second)):

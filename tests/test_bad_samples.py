@@ -211,7 +211,7 @@ def clean(short):
     return bq.discover(short, **FEW)
 
 
-@pytest.mark.parametrize("name", ["x", "u"])
+@pytest.mark.parametrize("name", ["x", pytest.param("u", marks=pytest.mark.slow)])
 def test_a_spike_does_not_spoil_the_equation(short, clean, name):
     spoiled = changed(short, name, 700, 100.0 * short[name].std())
     with pytest.warns(DataWarning, match=f"{name}: 1 sample left out as spike"):

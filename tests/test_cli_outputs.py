@@ -140,7 +140,7 @@ def test_forecast_table(record, eq, tmp_path, capsys):
     assert len(pd.read_csv(file)) == 500
 
 
-@pytest.mark.parametrize("suffix", [pytest.param("png", marks=pytest.mark.slow), "svg", "pdf"])
+@pytest.mark.parametrize("suffix", ["svg", *(pytest.param(one, marks=pytest.mark.slow) for one in ("png", "pdf"))])
 def test_forecast_figure(record, tmp_path, capsys, suffix):
     first, second = tmp_path / f"a.{suffix}", tmp_path / f"b.{suffix}"
     refine = ["--refine"] if suffix == "svg" else []

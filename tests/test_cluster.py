@@ -138,6 +138,7 @@ def test_dask_arrays_are_channels(record, client, expected):
     compare(quietly({"zeit": da.from_array(record.time, chunks=7000), **arrays}, t="zeit", client=client), expected)
 
 
+@pytest.mark.slow  # of other units of a file: test_streaming
 def test_derivatives_by_differences_see_the_rows_of_other_partitions(record, frame, client):
     dd = pytest.importorskip("dask.dataframe", reason="needs the extra dask")
     options = {"chains": "x:v:", "inputs": ["u"], "dictionary": ["x", "v", "x**3", "u"], "smooth": "none"}
@@ -176,6 +177,7 @@ def test_the_likelihood_of_all_rows_is_that_of_threads(path, client, monkeypatch
 # --- workers ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow  # of threads: test_streaming; of two workers: above
 def test_any_number_of_workers_gives_the_same_bytes(path, record, client, folder):
     in_file = tuple(Extent(one, 0, one.bounds[-1]) for one in open_streams([path]))
     in_memory = (Extent(RecordStream(record), 0, record.n),)

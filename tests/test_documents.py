@@ -26,6 +26,8 @@ ELSEWHERE = {
 
 # Pages of many discoveries, whose questions other tests ask of shorter records.
 LONG = {
+    "docs/gallery.md",  # each picture: test_pictures
+    "docs/index.md",  # as the README
     "docs/batch.md",
     "docs/commands.md",
     "docs/faq.md",

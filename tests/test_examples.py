@@ -111,6 +111,7 @@ def test_the_air_track_s_law():
     assert "verdict: not determined" in example.blocks["exact"]
 
 
+@pytest.mark.slow  # masses of a simulated row: test_between, test_physical
 def test_the_coupled_masses_check_each_other():
     example = ran(coupled)
     springs = example.blocks["springs"].split("```text")[1]
@@ -143,7 +144,7 @@ def test_the_encoder_s_law_is_nearly_true():
     assert "cannot tell sign(w)" in found
 
 
-@pytest.mark.slow  # a measured pendulum's sine: test_discovery; examples that keep their page: the two above
+@pytest.mark.slow  # a measured pendulum's sine: test_discovery; what an example claims: the populations
 def test_the_pendulum_needs_friction_that_is_not_found():
     example = ran(pendulum)
     assert re.search(r"\na = -1\.33\d*\*sin\(o\)\n", example.blocks["found"])

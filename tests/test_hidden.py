@@ -128,8 +128,8 @@ def test_an_actuator_s_lag_is_found_with_the_law_behind_it():
 
 
 def test_a_hidden_state_that_is_not_needed_is_left_out():
+    asked = {"chains": "x::", "inputs": ["u"], "dictionary": TERMS, "law": LAW, "holdout": 0.0}
     with pytest.warns(bq.errors.DataWarning, match="hidden f is not needed"):
-        asked = {"chains": "x::", "inputs": ["u"], "dictionary": TERMS, "law": LAW, "holdout": 0.0}
         eq = bq.discover(actuator(2, tau=0.0), **asked)
     assert [one.target for one in eq] == ["ddx"]
     assert set(eq["ddx"].included) == {"x", "dx", "u", "x**3"}

@@ -120,7 +120,7 @@ def test_bands_of_runs_in_blocks(found, monkeypatch):
 
 def test_bands_of_equations_that_leave_nothing_hardly_change():
     noise = {"x": 0.02, "v": 0.02, "a": 0.02}
-    eq = bq.discover(bq.simulate("duffing", n=1000, seed=1, noise=noise), **HOW)
+    eq = bq.discover(bq.simulate("duffing", n=2000, seed=1, noise=noise), **HOW)
     other = bq.simulate("duffing", n=2000, seed=2, noise=noise)
     run, formerly = eq.simulate(other), without(eq).simulate(other)
     width, before = ((one.high["x"] - one.low["x"]).mean() for one in (run, formerly))

@@ -210,7 +210,7 @@ def test_the_frequency_response_is_that_of_the_oscillator():
 
 
 def test_what_no_sensor_gave_is_not_called_measured(record):
-    alone = bq.Record({name: record[name] for name in "xu"}, record.time).slice(0, 400)
+    alone = bq.Record({name: record[name] for name in "xu"}, record.time).slice(0, 800)
     eq = bq.discover(alone, chains="x::", inputs="u", dictionary="x, dx, x**3, u")
     assert figures.measured_against_predicted(eq, alone).get_ylabel().startswith("estimated")
     for name in ("one_step", "restoring_force_curve", "restoring_force_surface"):

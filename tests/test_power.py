@@ -25,7 +25,7 @@ def test_scores_of_independent_samples_have_no_excess():
     assert beyond <= 8
 
 
-@pytest.mark.parametrize("memory", [0.5, 0.9, 0.97])
+@pytest.mark.parametrize("memory", [pytest.param(0.5, marks=pytest.mark.slow), 0.9, 0.97])
 def test_the_excess_of_autoregressive_scores(memory):
     rng, n, found = np.random.default_rng(1), 6000, []
     for _ in range(30):

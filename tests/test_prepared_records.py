@@ -68,7 +68,7 @@ def told_refined(told, record):
 def quiet():
     """A record with little noise, and what is found."""
     record = bq.simulate("duffing", n=600, fs=400, seed=1, noise=0.001)
-    return record, discover(record)
+    return record, discover(record, holdout=0.0)
 
 
 @pytest.fixture(scope="module")
@@ -158,7 +158,7 @@ def test_predictions_have_a_row_for_each_of_the_record(timed, quiet):
     whole, found = quiet
     if not timed:
         whole = bq.Record.from_arrays({name: whole[name] for name in "xvau"})
-        found = discover(whole)
+        found = discover(whole, holdout=0.0)
     lacking = changed(whole, x={50: np.nan, 51: np.nan})
     out, said = quietly(found.predict, lacking)
     assert said == ["x: 2 samples are missing (rows 51 to 52: 0.33 %); check the acquisition"]
@@ -217,7 +217,7 @@ def test_noise_that_is_given_far_too_small_is_not_believed(record, refined, told
 def test_given_noise_reaches_the_states_of_predictions(quiet):
     record, untold = quiet
     noise = {"x": 0.3 * record["x"].std()}
-    told = discover(record, noise=noise)
+    told = discover(record, noise=noise, holdout=0.0)
     assert told.data.sensors.noise == noise
     moved = [
         np.std(bq.equation.along.rows_of_record(record, roles, "auto", sensors)["x"] - record["x"])

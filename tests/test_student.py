@@ -41,7 +41,9 @@ def test_gaussian_errors_have_equal_variances():
 def test_intervals_under_heavy_tails_are_shorter_and_cover():
     record = with_noise(lambda rng, n: rng.standard_t(3, n) / np.sqrt(3.0))
     with pytest.warns(DataWarning, match="left out"):
-        gauss, student = (bq.discover(record, **AMONG_EIGHT, tails=tails, holdout=0.0) for tails in ("gauss", "student"))
+        gauss, student = (
+            bq.discover(record, **AMONG_EIGHT, tails=tails, holdout=0.0) for tails in ("gauss", "student")
+        )
     truth = bq.simulate("duffing", n=10, seed=3).truth.coefficients["a"]
     tables = [eq.table().set_index("term") for eq in (gauss, student)]
     assert set(student[0].included) == set(truth)

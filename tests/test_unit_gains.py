@@ -174,9 +174,15 @@ def plain():
     return answer(si)
 
 
-@pytest.mark.parametrize("stated", [True, False])
-@pytest.mark.parametrize("smooth", ["auto", "none"])
 @pytest.mark.parametrize("make", [pytest.param(mm, marks=pytest.mark.slow), mm_g])
+@pytest.mark.parametrize(
+    ("smooth", "stated"),
+    [
+        ("auto", True),
+        ("none", False),
+        *(pytest.param(*one, marks=pytest.mark.slow) for one in (("auto", False), ("none", True))),
+    ],
+)
 def test_free_runs_are_those_of_the_same_motion_in_one_unit(plain, make, smooth, stated):
     record = make()
     record = record if stated else bq.Record.from_arrays(dict(record.channels), time=record.time)
