@@ -176,8 +176,14 @@ def test_forces_that_jump_are_no_bad_samples(name, system, noise):
     assert found(record) == {}
 
 
-@pytest.mark.parametrize("chain", ["x:v:a", "x::", "::a"])
-@pytest.mark.parametrize("system", ["linear", "coulomb"])
+# Every chain and every system, in turns; all of both are for make slow.
+@pytest.mark.parametrize(
+    ("system", "chain"),
+    [
+        *(("linear", "x:v:a"), ("linear", "::a"), ("coulomb", "x:v:a"), ("coulomb", "x::")),
+        *(pytest.param(*one, marks=pytest.mark.slow) for one in (("linear", "x::"), ("coulomb", "::a"))),
+    ],
+)
 def test_free_decays_and_rest_are_no_bad_samples(system, chain):
     known = replace(bq.SYSTEMS[system], initial={"x": 0.1, "v": 0.0})
     decay = bq.simulate(known, seed=2, noise=0.01, fs=500.0, force=np.zeros(3000))

@@ -166,7 +166,9 @@ def row():
 TWO = {"chains": ["x1:v1:a1", "x2:v2:a2"], "inputs": ["u"]}
 
 
-@pytest.mark.parametrize("options", [{}, {"method": "stlsq", "smooth": "none"}, {"method": "vb"}])
+@pytest.mark.parametrize(
+    "options", [{}, {"method": "stlsq", "smooth": "none"}, pytest.param({"method": "vb"}, marks=pytest.mark.slow)]
+)
 def test_each_equation_has_its_own_terms(row, options):
     dictionary = {"a1": "neighbours", "a2": "x2, v2, x2**3, x2-x1, (x2-x1)**3, v2-v1"}
     eq = quietly(row, **TWO, dictionary=dictionary, **options)

@@ -167,7 +167,7 @@ def record_dynamics(record):
 # --- signs -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 @pytest.mark.parametrize("text", ["v <= 0", "v >= 0"])
 def test_a_damping_of_nothing_keeps_its_sign(text, seed):
     record = undamped(0.0, seed)
