@@ -167,8 +167,7 @@ def rows_in(path):
         return 0
 
 
-@pytest.mark.slow  # stopped: below; killed, of the same kind of store: test_study
-@pytest.mark.parametrize("jobs", ["1", "2"])
+@pytest.mark.parametrize("jobs", [pytest.param("1", marks=pytest.mark.slow), "2"])
 def test_killed_it_goes_on_where_it_was(days, tmp_path, found, jobs):
     store = tmp_path / "batch.db"
     program = KILLED.format(options=OPTIONS)
