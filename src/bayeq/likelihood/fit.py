@@ -41,10 +41,10 @@ class State:
     levels: Levels  # noise and discrepancies
     blurs: tuple[Blur, ...] = ()  # widths of the jumps in each record; empty where no error of the paths is known
 
-    def halfway(self, other: State) -> State:
-        """The state halfway to another one of the same model; levels are those of this one."""
-        paths = tuple(0.5 * (one + two) for one, two in zip(self.paths, other.paths, strict=True))
-        return replace(self, theta=0.5 * (self.theta + other.theta), paths=paths)
+    def towards(self, other: State, share: float = 0.5) -> State:
+        """The state at a share of the way to another one of the same model; levels are those of this one."""
+        paths = tuple(one + share * (two - one) for one, two in zip(self.paths, other.paths, strict=True))
+        return replace(self, theta=self.theta + share * (other.theta - self.theta), paths=paths)
 
     def moved(
         self, layout: Layout, series: Sequence[Series], linears: Sequence[Linear], found: Sequence[Adjoint]

@@ -414,7 +414,7 @@ def _halfway(last: tuple[Task, State], now: tuple[Task, State]) -> tuple[Task, S
     before, after = (constants_of(task.layout.terms) for task, _ in (last, now))
     places = {name: [to_scale(one, one.value) for one in (before[name], after[name])] for name in after}
     values = {name: to_plain(after[name], 0.5 * sum(both)) for name, both in places.items()}
-    return _at_values(now[0], now[1].halfway(last[1]), values)
+    return _at_values(now[0], now[1].towards(last[1]), values)
 
 
 def joint_covariance(task: Task, state: State, power: float = 1.0) -> tuple[Floats, tuple[ConstantEstimate, ...]]:

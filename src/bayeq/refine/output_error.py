@@ -261,7 +261,7 @@ def _fitted(task: Task, known: Known, state: State) -> _Run:
                 halved += 1
                 if last is None or halved > MOST_HALVED:
                     raise
-                state = state.halfway(last)
+                state = state.towards(last)
         last = state = replace(state, levels=levels)
         q, phi = quadratic(found.filtered), state.theta[known.free]
         slope, information = known.basis.T @ q.slope, known.basis.T @ q.information @ known.basis
