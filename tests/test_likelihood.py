@@ -19,7 +19,7 @@ from bayeq.expressions.nodes import jumps_of
 from bayeq.likelihood import search
 from bayeq.likelihood.blur import blur_of
 from bayeq.likelihood.layout import Layout, Series
-from bayeq.likelihood.model import from_all_levels, with_model
+from bayeq.likelihood.model import fit, from_all_levels, with_model
 from bayeq.likelihood.signs import half_of_jump, mean_of_jumps, unresolved_share
 from bayeq.numerics.settings import LIKELIHOOD, overridden
 from bayeq.states import Roles
@@ -243,6 +243,16 @@ def test_a_ring_down_of_an_accelerometer_alone(damping_ratio, seed):
     assert eq[0].shown == ("x", "dx")
     assert eq.verdict.kind == "found"
     assert eq[0].shown_coef["x"] == pytest.approx(-(w**2), rel=1e-4)
+
+
+def test_a_step_to_no_number_is_no_fit(monkeypatch):
+    # samples that are predicted to be NaN would count as missing, and the fit as the likeliest of all
+    record = from_all_rows()[0].fit.regression.record
+    task, fitted = record.task, record.fitted
+    nowhere = replace(fitted.state, theta=np.full(len(fitted.state.theta), np.nan))
+    monkeypatch.setattr("bayeq.likelihood.model.improved", lambda *given: (nowhere, np.zeros(0)))
+    with pytest.raises(np.linalg.LinAlgError, match="nowhere"):
+        fit(task, fitted.state)
 
 
 def test_the_standard_error_of_a_discrepancy_is_that_of_draws():

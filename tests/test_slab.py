@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from bayeq.gram import Gram
-from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
+from bayeq.inference.collapsed.problem import Problem
+from bayeq.inference.collapsed.slab import given_model, learn_slab_variance, residual_scale
 from bayeq.inference.prior import Prior
 from tests import reference
 
@@ -66,3 +67,12 @@ def test_little_noise_is_seen_in_few_rows_too():
     D = rng.normal(size=(40, 36))
     y = D[:, 0] + 3e-3 * D[:, 1] + 1e-4 * rng.normal(size=40)
     assert 1e-5 < residual_scale(Gram.from_data(D, y)) < 1e-3
+
+
+def test_copies_share_a_coefficient_where_the_prior_is_lost_in_rounding():
+    column = 1e12 * np.random.default_rng(0).normal(size=(200, 1))
+    problem = Problem.of(Gram.from_data(np.hstack([column, column]), 3.0 * column[:, 0]), Prior())
+    coef, covariance = given_model(problem, np.array([True, True]))
+    assert coef == pytest.approx([1.5, 1.5])
+    assert np.isfinite(covariance).all()
+    assert (np.diagonal(covariance) > 0).all()

@@ -245,6 +245,8 @@ def fit(task: Task, state: State, coarse: bool = False, calm: int = 0) -> Fitted
             turned = unit @ (step - former[1])
             share = float(turned @ unit @ step) / max(float(turned @ turned), np.finfo(np.float64).tiny)
             state = state.towards(former[0], min(max(share, 0.0), MOST_BACK))
+        if not np.isfinite(state.theta).all():  # what it predicts would count as samples that are missing
+            raise np.linalg.LinAlgError("a step leads nowhere")
         former = arrived, step
         if abs(found.value - before) < SETTLED and 0.5 * length**2 < FLAT and taken >= calm:
             break

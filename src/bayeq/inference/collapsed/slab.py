@@ -107,9 +107,14 @@ def _parameters(problem: Problem, active: Bools) -> tuple[Floats, Floats, float]
     p, index = problem, np.flatnonzero(active)
     A = gram_block(p.columns, index)
     A[np.diag_indices_from(A)] += 1.0 / p.slab_variance
-    inverse = np.linalg.inv(A)
-    inverse = 0.5 * (inverse + inverse.T)
-    mean = inverse @ p.Dty[index]
+    try:
+        inverse = np.linalg.inv(A)
+        inverse = 0.5 * (inverse + inverse.T)
+        mean = inverse @ p.Dty[index]
+    except np.linalg.LinAlgError:  # copies of a column: what the prior adds is lost in rounding
+        values, axes = np.linalg.eigh(A)
+        inverse = axes / np.maximum(values, np.min(1.0 / p.slab_variance)) @ axes.T
+        mean = np.linalg.lstsq(A, p.Dty[index], rcond=None)[0]
     s = p.yty + 2.0 * p.noise_rate - float(mean @ p.Dty[index])
     return mean, inverse, 0.5 * max(s, p.floor) / max(p.h - 1.0, 0.5)
 
