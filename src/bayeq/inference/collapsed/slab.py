@@ -113,7 +113,7 @@ def _parameters(problem: Problem, active: Bools) -> tuple[Floats, Floats, float]
         mean = inverse @ p.Dty[index]
     except np.linalg.LinAlgError:  # copies of a column: what the prior adds is lost in rounding
         values, axes = np.linalg.eigh(A)
-        inverse = axes / np.maximum(values, np.min(1.0 / p.slab_variance)) @ axes.T
+        inverse = axes / np.maximum(values, 1.0 / p.slab_variance) @ axes.T
         mean = np.asarray(np.linalg.lstsq(A, p.Dty[index], rcond=None)[0], dtype=np.float64)
     s = p.yty + 2.0 * p.noise_rate - float(mean @ p.Dty[index])
     return mean, inverse, 0.5 * max(s, p.floor) / max(p.h - 1.0, 0.5)
