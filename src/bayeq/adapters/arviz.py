@@ -65,7 +65,7 @@ def convergence(posterior: Posterior) -> pd.DataFrame:
                     "ess_tail": float(az.ess(values, method="tail", prob=(0.05, 0.95))),
                 }
     table = pd.DataFrame.from_dict(rows, orient="index")
-    table["multivariate_rhat"] = posterior.rhat
+    table["multivariate_rhat"] = posterior.details.rhat
     return table
 
 
@@ -115,11 +115,11 @@ def to_arviz(
     rows, observed = _checked(posterior, D, y)
     az = _arviz("to_arviz")
     spread = np.sqrt(draws.noise_variance)
-    centre = posterior.target_mean - draws.theta @ posterior.center
-    known = posterior.target_mean_variance  # of the likelihood of a record, which does not count rows
+    centre = posterior.constant.mean - draws.theta @ posterior.constant.center
+    known = posterior.constant.variance  # of the likelihood of a record, which does not count rows
     sd = spread / math.sqrt(posterior.n) if known is None else math.sqrt(known)
-    if posterior.left_out_intercept is not None:  # its own posterior, beside coefficients that are without it
-        centre, sd = np.broadcast_to(np.asarray(posterior.left_out_intercept)[:, None, None], (2, *spread.shape))
+    if posterior.constant.left_out is not None:  # its own posterior, beside coefficients that are without it
+        centre, sd = np.broadcast_to(np.asarray(posterior.constant.left_out)[:, None, None], (2, *spread.shape))
     intercept = centre + sd * rng.standard_normal(spread.shape)
     groups: dict[str, dict[str, NDArray[Any]]] = {
         "posterior": {

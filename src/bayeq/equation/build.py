@@ -126,7 +126,7 @@ def build_equation(selection: Selection, window: tuple[float, str] | None) -> Eq
         held_out=held_out,
         residuals=replace(residuals, discrepancy=regression.discrepancy),
         verdict=verdict,
-        runners_up=_runners_up(fit, selection.shown) if ENGINES[posterior.method].spike_slab else (),
+        runners_up=_runners_up(fit, selection.shown) if ENGINES[posterior.details.method].spike_slab else (),
         fit=fit,
         shown_fit=selection.own,
         share=partial_shares(regression.rows, shown.support),
@@ -231,9 +231,9 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
     if isinstance(regression, RecordRegression) and regression.record.rivals and verdict.kind != "none":
         other = ", ".join(f"{name} = {value:.4g}" for name, value in regression.record.rivals[0].items())
         return Verdict("not determined", f"as likely with {other}", "give narrower ranges, as in {a: 0.1..1}")
-    if equation.posterior.converged or verdict.kind in ("none", "not determined"):
+    if equation.posterior.details.converged or verdict.kind in ("none", "not determined"):
         return verdict
-    reason = f"{equation.posterior.method} did not converge: probabilities of terms may be off"
+    reason = f"{equation.posterior.details.method} did not converge: probabilities of terms may be off"
     return Verdict("not determined", reason, "give fewer candidate terms, or compare with another method")
 
 
@@ -262,8 +262,8 @@ def _runners_up(fit: RegressionFit, posterior: Posterior) -> tuple[RunnerUp, ...
 def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
     """Record what makes an equation less than it seems."""
     target, posterior = equation.target, equation.posterior
-    if not posterior.converged:
-        rhat = "" if posterior.rhat is None else f", multivariate R-hat {posterior.rhat:.3g}"
+    if not posterior.details.converged:
+        rhat = "" if posterior.details.rhat is None else f", multivariate R-hat {posterior.details.rhat:.3g}"
         log.warn(
             f"{target}: the search was stopped early{rhat}: probabilities may be off; give fewer terms",
             ConvergenceWarning,
@@ -282,7 +282,7 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
                 DataWarning,
             )
     beyond = selection.fit.beyond_bounds(CONTRADICTED)
-    contradicted = [name for name in posterior.contradicted if name not in beyond]
+    contradicted = [name for name in posterior.details.contradicted if name not in beyond]
     if contradicted:
         what = "sign" if selection.fit.constraints.bounds is None else "sign or bound"
         log.warn(
@@ -301,8 +301,9 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
         why = why.replace("started from a measured state the equation is", "free runs are")
         log.warn(f"{target}: {why}; check the channels", DataWarning)
     found = selection.fit.posterior
-    if found.optimum is not None and bool((found.optimum != found.support).any()):
-        other = [n for n, kept in zip(found.names, found.optimum, strict=True) if kept]
+    optimum = found.details.optimum
+    if optimum is not None and bool((optimum != found.support).any()):
+        other = [n for n, kept in zip(found.names, optimum, strict=True) if kept]
         log.warn(
             f"{target}: variational Bayes alone takes other terms ({some_of(other or ['none'], 24)}): measure longer",
             AmbiguityWarning,

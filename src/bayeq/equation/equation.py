@@ -178,19 +178,20 @@ class Equation:
     def averaged_model(self) -> Model | None:
         """Coefficients over all models, 0 in those without the term; None where no models are averaged."""
         p, ci95 = self.posterior, self.averaged_ci95
-        if p.averaged_coef is None or p.averaged_sd is None or ci95 is None:
+        if p.averaged is None or ci95 is None:
             return None
-        known, constant = p.averaged_coef != 0.0, (self.included_model.intercept, self.included_model.intercept_sd)
-        return Model(p.names, known, p.averaged_coef, p.averaged_sd, ci95, *constant)
+        known, constant = p.averaged.coef != 0.0, (self.included_model.intercept, self.included_model.intercept_sd)
+        return Model(p.names, known, p.averaged.coef, p.averaged.sd, ci95, *constant)
 
     @cached_property
     def likelihood_model(self) -> Model | None:
         """Coefficients of the terms shown by the likelihood itself, not projected; None where rows count."""
-        p, shown = self.shown_posterior, self.shown_model
-        if p.likelihood_coef is None or p.likelihood_sd is None:
+        own = self.shown_posterior.projected
+        if own is None:
             return None
-        ends = p.likelihood_coef[:, None] + Z95 * p.likelihood_sd[:, None] * np.array([-1.0, 1.0])
-        return replace(shown, coef=p.likelihood_coef, sd=p.likelihood_sd, ci95=cut(p, ends), covariance=None)
+        ends = own.coef[:, None] + Z95 * own.sd[:, None] * np.array([-1.0, 1.0])
+        ci95 = cut(self.shown_posterior, ends)
+        return replace(self.shown_model, coef=own.coef, sd=own.sd, ci95=ci95, covariance=None)
 
     @property
     def target(self) -> str:
@@ -262,7 +263,8 @@ class Equation:
     @property
     def error_share(self) -> float | None:
         """Share of the target's standard deviation that the terms shown leave beside noise; None where not known."""
-        return self.shown_posterior.error_share
+        own = self.shown_posterior.projected
+        return None if own is None else own.error_share
 
     @property
     def ci95(self) -> Floats:
@@ -287,7 +289,7 @@ class Equation:
 
         None where no models are averaged.
         """
-        return None if self.posterior.averaged_coef is None else self.over_models.averaged
+        return None if self.posterior.averaged is None else self.over_models.averaged
 
     @cached_property
     def printed_ci95(self) -> Floats:
@@ -297,7 +299,7 @@ class Equation:
     @cached_property
     def _given_in(self) -> Floats:
         """95 % intervals over the models that hold a term, (P, 2), beside constants around those joint with these."""
-        given = None if self.shown_posterior.averaged_coef is None else self.over_models.given_in
+        given = None if self.shown_posterior.averaged is None else self.over_models.given_in
         given, own = self.shown_ci95 if given is None else given, self.shown_ci95
         around = np.column_stack([np.minimum(given[:, 0], own[:, 0]), np.maximum(given[:, 1], own[:, 1])])
         return around if self.shown_constants else given
@@ -314,7 +316,7 @@ class Equation:
         An intercept that is probably zero has the former.
         """
         shown, conditional = self.shown_posterior, self.intercept_ci95
-        alone = shown.averaged_coef is None or shown.left_out_intercept is not None or self.shown_constants
+        alone = shown.averaged is None or shown.constant.left_out is not None or self.shown_constants
         over = None if alone else self.over_models.intercept
         if over is None or not unlike(over[None], np.array([conditional]))[0]:
             return conditional
@@ -338,8 +340,8 @@ class Equation:
     @property
     def intercept_matters(self) -> bool:
         """Whether the intercept is written out: it is probably not zero, or else its interval says so."""
-        if self.shown_posterior.intercept_pip is not None:
-            return self.shown_posterior.intercept_pip > 0.5
+        if self.shown_posterior.constant.pip is not None:
+            return self.shown_posterior.constant.pip > 0.5
         low, high = self.intercept_ci95
         return low > 0 or high < 0
 
@@ -420,7 +422,7 @@ class Equation:
             rows.append(
                 (self.terms[j].text, number, interval, f"{self.posterior.pip[j]:.3f}", self.coef_units[j] or "")
             )
-        header = ("term", "coefficient", "95 % interval", ENGINES[self.posterior.method].score, "unit")
+        header = ("term", "coefficient", "95 % interval", ENGINES[self.posterior.details.method].score, "unit")
         return join(paragraph(f"verdict: {self.verdict}", strong=True), code(self.text), table(header, rows))
 
     def to_latex(self, uncertainty: Uncertainty = "none", chains: Sequence[Chain] = ()) -> str:
@@ -558,7 +560,7 @@ class Equation:
             Too many models share the posterior mass to list them.
         """
         fit = self.solved()
-        require_spike_slab(self.posterior.method)
+        require_spike_slab(self.posterior.details.method)
         return prior_sensitivity(fit.standard.gram, fit.prior, slab_variances, prior_inclusions)
 
     def coarsening(self, powers: ArrayLike | None = None) -> PipCurve:
@@ -589,7 +591,7 @@ class Equation:
             As for `sensitivity`.
         """
         fit = self.solved()
-        require_spike_slab(self.posterior.method)
+        require_spike_slab(self.posterior.details.method)
         return power_sensitivity(fit.standard.gram, fit.prior, powers)
 
     def solved(self) -> RegressionFit:

@@ -64,14 +64,14 @@ class Model:
     @classmethod
     def of(cls, posterior: Posterior, terms: tuple[str, ...]) -> Model:
         """Given the terms in a posterior's support."""
-        half = (Z95 if posterior.freedom is None else t95(posterior.freedom)) * posterior.sd
+        half = (Z95 if posterior.projected is None else t95(posterior.projected.freedom)) * posterior.sd
         return cls(
             terms,
             posterior.support,
             posterior.coef,
             posterior.sd,
             cut(posterior, np.column_stack([posterior.coef - half, posterior.coef + half])),
-            *(posterior.left_out_intercept or (posterior.intercept, posterior.intercept_sd)),
+            *(posterior.constant.left_out or (posterior.intercept, posterior.intercept_sd)),
             posterior.covariance,
         )
 
@@ -118,7 +118,7 @@ def over_models(
 
 def cut(posterior: Posterior, ends: Floats) -> Floats:
     """Intervals (P, 2) cut at the bounds of terms that are in."""
-    bounds = posterior.bounds
+    bounds = posterior.details.bounds
     if bounds is None:
         return ends
     inside = (posterior.pip > 0.0)[:, None] & (ends != 0.0).any(axis=1, keepdims=True)

@@ -27,7 +27,7 @@ from bayeq.equation.to_json import FORMAT
 from bayeq.errors import BayeqError, FileFormatError, as_path
 from bayeq.expressions import Unknown, parse
 from bayeq.expressions.functions import TIME
-from bayeq.inference.posterior import LARGEST, ModelAverage, Posterior
+from bayeq.inference.posterior import LARGEST, Averaged, Constant, Details, ModelAverage, Posterior, Projected
 from bayeq.numerics.distributions import Z95
 from bayeq.records.io import near_files
 from bayeq.records.validate import check_name
@@ -89,9 +89,6 @@ def restored(content: Saved, where: str) -> Equations:
     except (ValueError, OverflowError, RecursionError, BayeqError) as error:
         raise FileFormatError(f"{where}: damaged: {error}") from error
 
-
-# Of a posterior given its terms, beside the coefficients and their covariance.
-GIVEN_TERMS = ("noise_variance", "center", "target_mean", "target_mean_variance", "freedom")
 
 _hints = cache(get_type_hints)
 
@@ -156,8 +153,8 @@ def _restore(content: Saved) -> Equations:
         bounded = [
             replace(
                 one,
-                posterior=replace(one.posterior, bounds=ends),
-                shown_posterior=replace(one.shown_posterior, bounds=ends),
+                posterior=_bounded(one.posterior, ends),
+                shown_posterior=_bounded(one.shown_posterior, ends),
             )
             for one, ends in zip(found.equations, bounds, strict=True)
         ]
@@ -182,7 +179,7 @@ def _restored_equation(content: Saved, k: int, chain: Chain, names: Sequence[str
     terms = tuple(parse(term["name"], names).with_unknowns(values) for term in saved["terms"])
     posterior = _restored_posterior(content["method"], tuple(term.text for term in terms), saved, state, checks)
     column = partial(_column, saved["terms"])
-    shown = _restored_shown(posterior, saved["terms"], state["shown"])
+    shown = _restored_shown(posterior, saved, state["shown"])
     law = next((term for term, entry in zip(terms, saved["terms"], strict=True) if entry["included"]), None)
     if any(one["state"] == chain.names[0] and not one.get("stated", True) for one in content.get("hidden", ())):
         chain = with_shown(replace(chain, found=True), terms, shown)
@@ -213,44 +210,67 @@ def _restored_equation(content: Saved, k: int, chain: Chain, names: Sequence[str
 
 def _restored_posterior(method: str, names: tuple[str, ...], saved: Saved, state: Saved, checks: Saved) -> Posterior:
     """Of the included terms."""
-    support = np.array([term["included"] for term in saved["terms"]], dtype=np.bool_)
-    left_out = None if saved.get("intercept_included", True) else (saved["intercept"], saved["intercept_sd"])
-    columns = ("pip", "coef", "averaged_coef", "averaged_sd", "likelihood_coef", "likelihood_sd")
-    average, listed = None, state["average"]
+    terms, listed, average = saved["terms"], state["average"], None
     if listed is not None:
         average = ModelAverage(
             models=np.array([_indicator(model, len(names)) for model in listed["models"]], dtype=np.bool_),
             covariance=_square(listed["covariance"]),
             **_fields(ModelAverage, listed, "probability", "left_out", "terms"),
         )
+    over_models = _column(terms, "averaged_coef"), _column(terms, "averaged_sd")
     return Posterior(
-        method=method,
         names=names,
-        support=support,
-        covariance=_square(state["covariance"]),
+        pip=_column(terms, "pip"),
+        support=np.array([term["included"] for term in terms], dtype=np.bool_),
+        coef=_column(terms, "coef"),
         n=state["n"],
-        optimum=None if state["optimum"] is None else _indicator(state["optimum"], len(names)),
-        left_out_intercept=left_out,
+        details=Details(
+            method=method,
+            optimum=None if state["optimum"] is None else _indicator(state["optimum"], len(names)),
+            **_fields(Details, state, "n_iter", "elbo_trace"),
+            **_fields(Details, checks, "converged", "slab_variance", "rhat"),
+        ),
+        averaged=None if any(one is None for one in over_models) else Averaged(*over_models),
         average=average,
-        **{name: _column(saved["terms"], name) for name in columns},
-        **_fields(Posterior, state, *GIVEN_TERMS, "elbo_trace", "n_iter"),
-        **_fields(Posterior, checks, "converged", "slab_variance", "rhat"),
-        **_fields(Posterior, saved, "elbo", "intercept_pip", "error_share", "error_sd", "error_lines"),
+        **_given_terms(saved, state),
     )
 
 
-def _restored_shown(like: Posterior, terms: Sequence[Saved], saved: Saved | None) -> Posterior:
+def _restored_shown(like: Posterior, saved: Saved, given: Saved | None) -> Posterior:
     """The posterior given the terms shown, if these are others than those included."""
-    if saved is None:
+    if given is None:
         return like
-    support = np.array([term["shown"] for term in terms], dtype=np.bool_)
+    terms = saved["terms"]
     return replace(
         like,
-        support=support,
+        support=np.array([term["shown"] for term in terms], dtype=np.bool_),
         coef=np.array([term["shown_coef"] if term["shown"] else 0.0 for term in terms], dtype=np.float64),
-        covariance=_square(saved["covariance"]),
-        **_fields(Posterior, {"freedom": None, **saved}, *GIVEN_TERMS),
+        **_given_terms(saved, given),
     )
+
+
+def _bounded(posterior: Posterior, ends: Floats | None) -> Posterior:
+    return replace(posterior, details=replace(posterior.details, bounds=ends))
+
+
+def _given_terms(saved: Saved, given: Saved) -> dict[str, Any]:
+    """Of a posterior given its terms, beside the coefficients."""
+    left_out = None if saved.get("intercept_included", True) else (saved["intercept"], saved["intercept_sd"])
+    center = np.array(given["center"], dtype=np.float64)
+    constant = Constant(
+        center, given["target_mean"], given.get("target_mean_variance"), saved.get("intercept_pip"), left_out
+    )
+    freedom, projected = _value(Floats | None, given.get("freedom")), None
+    if freedom is not None:
+        coef, sd = (_column(saved["terms"], f"likelihood_{name}") for name in ("coef", "sd"))
+        lines = tuple(saved.get("error_lines", ()))
+        projected = Projected(coef, sd, freedom, saved["error_share"], saved["error_sd"], lines)
+    return {
+        "covariance": _square(given["covariance"]),
+        "constant": constant,
+        "noise_variance": given["noise_variance"],
+        "projected": projected,
+    }
 
 
 def _square(rows: Sequence[Sequence[float]]) -> Floats:

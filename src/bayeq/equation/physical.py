@@ -266,7 +266,7 @@ def _read(law: Law, draws: int, seed: int, span: tuple[float, float] | None) -> 
             if part:
                 coefficients[parse(name)] = coefficients.get(parse(name), 0.0) + part * values
     position, p = None, law.posterior
-    has_constant = p.intercept_pip > 0.5 if p.intercept_pip is not None else abs(p.intercept) > Z95 * p.intercept_sd
+    has_constant = p.constant.pip > 0.5 if p.constant.pip is not None else abs(p.intercept) > Z95 * p.intercept_sd
     if span is not None and _is_displaced(coefficients, has_constant, x, v, span):
         position, coefficients = _about_rest(coefficients, constant, x, v, span)
     # |v|*v is v*|v|

@@ -210,11 +210,11 @@ def _differences(equation: Equation, score: str) -> list[str]:
     for j, term in enumerate(equation.terms):
         if shown.support[j] and not p.support[j]:
             out.append(f"shown, though its {score} is {p.pip[j]:.3f}: {term.text} ({equation.why[term.text]})")
-    own = shown.likelihood_coef
-    if own is not None and shown.likelihood_sd is not None:
+    if shown.projected is not None:
+        own, sd = shown.projected.coef, shown.projected.sd
         # of a force of long memory that is independent of the motion the likelihood knows more
-        far = np.flatnonzero(shown.support & (np.abs(shown.coef - own) > FAR * shown.likelihood_sd))
-        listed = [f"{equation.terms[j].text} {round_to(own[j], shown.likelihood_sd[j])}" for j in far]
+        far = np.flatnonzero(shown.support & (np.abs(shown.coef - own) > FAR * sd))
+        listed = [f"{equation.terms[j].text} {round_to(own[j], sd[j])}" for j in far]
         if listed:
             out.append(
                 f"by the likelihood alone, were what is left out a force that knows nothing of the motion:"

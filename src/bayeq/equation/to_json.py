@@ -15,7 +15,6 @@ from bayeq.equation.intervals import Model
 from bayeq.equation.physical import own_parameters
 from bayeq.equation.written import finite
 from bayeq.inference.posterior import Posterior
-from bayeq.numerics.distributions import Z95
 
 FORMAT = "bayeq-equations-1"
 
@@ -101,14 +100,15 @@ def _equation(equation: Equation, eq: Answer) -> dict[str, Any]:
         "verdict": asdict(equation.verdict),
         "intercept": equation.intercept_estimate[0],
         "intercept_sd": equation.intercept_estimate[1],
-        "intercept_included": shown.left_out_intercept is None,
+        "intercept_included": shown.constant.left_out is None,
         "intercept_ci95": list(equation.intercept_ci95),
         "intercept_printed_ci95": list(equation.printed_intercept_ci95),
         "intercept_printed_over_models": equation.intercept_over_models,
-        "intercept_pip": shown.intercept_pip,
+        "intercept_pip": shown.constant.pip,
         **_attributes(equation, "noise_sd", "error_share"),
-        **_attributes(shown, "error_sd", "error_lines"),
-        "elbo": equation.posterior.elbo,
+        "error_sd": shown.projected and shown.projected.error_sd,
+        **_attributes(shown, "error_lines"),
+        "elbo": equation.posterior.details.elbo,
         "equation": equation.text,
         "full_equation": None,  # as earlier versions had it
         **_attributes(equation, "error_probability", "tau"),
@@ -138,10 +138,8 @@ def _terms(equation: Equation) -> list[dict[str, Any]]:
         "effective": [False] * len(names),  # as earlier versions had it
         **_model("shown_", equation.shown_model),
     }
-    if shown.likelihood_coef is not None and shown.likelihood_sd is not None:
-        half = Z95 * shown.likelihood_sd
-        columns |= _attributes(shown, "likelihood_coef", "likelihood_sd")
-        columns["likelihood_ci95"] = np.column_stack([shown.likelihood_coef - half, shown.likelihood_coef + half])
+    if equation.likelihood_model is not None:
+        columns |= _model("likelihood_", equation.likelihood_model)
     columns |= _attributes(equation, "printed_ci95", "printed_over_models")
     if equation.averaged_model is not None:
         columns |= _model("averaged_", equation.averaged_model)
@@ -182,7 +180,7 @@ def _average(p: Posterior) -> dict[str, Any] | None:
 
 def _diagnostics(equation: Equation) -> dict[str, Any]:
     return {
-        **_attributes(equation.posterior, "converged", "slab_variance", "rhat"),
+        **_attributes(equation.posterior.details, "converged", "slab_variance", "rhat"),
         "average": _average(equation.posterior),
         "fit": {
             "train": asdict(equation.train),
@@ -205,15 +203,15 @@ def to_saved(eq: Answer) -> dict[str, Any]:
 
 def _saved_posterior(equation: Equation) -> dict[str, Any]:
     p, shown = equation.posterior, equation.shown_posterior
-    average = p.average
+    average, details = p.average, p.details
     return {
         "covariance": p.covariance.tolist(),
         # beside the coefficients of the terms shown; None where these are the included ones
         "shown": None if shown is p else _saved_model(shown),
-        **_attributes(p, "center", "target_mean", "noise_variance", "target_mean_variance"),
-        "freedom": None if p.freedom is None else finite(p.freedom.tolist()),  # None for infinitely many
-        **_attributes(p, "n", "n_iter", "elbo_trace"),
-        "optimum": None if p.optimum is None else np.flatnonzero(p.optimum).tolist(),
+        **_given_terms(p),
+        "n": p.n,
+        **_attributes(details, "n_iter", "elbo_trace"),
+        "optimum": None if details.optimum is None else np.flatnonzero(details.optimum).tolist(),
         "average": average
         and {
             "models": [np.flatnonzero(model).tolist() for model in average.models],
@@ -228,6 +226,18 @@ def _saved_model(p: Posterior) -> dict[str, Any]:
     return {
         "terms": np.flatnonzero(p.support).tolist(),
         "coef": p.coef[p.support].tolist(),
-        **_attributes(p, "covariance", "noise_variance", "center", "target_mean", "target_mean_variance"),
-        "freedom": None if p.freedom is None else finite(p.freedom.tolist()),  # None for infinitely many
+        "covariance": p.covariance.tolist(),
+        **_given_terms(p),
+    }
+
+
+def _given_terms(p: Posterior) -> dict[str, Any]:
+    """Of a posterior given its terms, beside the coefficients and their covariance."""
+    return {
+        "noise_variance": p.noise_variance,
+        "center": p.constant.center.tolist(),
+        "target_mean": p.constant.mean,
+        "target_mean_variance": p.constant.variance,
+        # None for infinitely many
+        "freedom": None if p.projected is None else finite(p.projected.freedom.tolist()),
     }

@@ -181,7 +181,7 @@ class SparseRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.coef_, self.intercept_, self.pip_ = map(self._read, ("coef", "intercept", "pip"))
         self.support_, self.noise_variance_ = map(self._read, ("support", "noise_variance"))
         self.covariance_ = self._read("covariance", listed=True)
-        self.n_iter_ = max([posterior.n_iter for posterior in self.posteriors_])
+        self.n_iter_ = max([posterior.details.n_iter for posterior in self.posteriors_])
 
     @property
     def posterior_(self) -> Posterior:

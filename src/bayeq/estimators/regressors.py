@@ -262,9 +262,10 @@ class SpikeSlabBMA(SpikeSlabRegressor):
 
     def _engine(self, gram: GramLike) -> Posterior:
         found = spike_slab_bma(gram, self._prior(), tolerance=self.tolerance, enumerate_up_to=self.enumerate_up_to)
-        if found.contradicted:
+        contradicted = found.details.contradicted
+        if contradicted:
             warnings.warn(
-                f"the data contradict the known sign of {some_of(found.contradicted, 30)} (odds above 100): check it,"
+                f"the data contradict the known sign of {some_of(contradicted, 30)} (odds above 100): check it,"
                 " or drop it",
                 DataWarning,
                 stacklevel=5,

@@ -71,7 +71,7 @@ def _discovered(equation: style.EquationLike, columns: Mapping[str, Floats]) -> 
         if j in own:
             values = np.broadcast_to(np.asarray(evaluate(equation.terms[j]), dtype=np.float64), n)
             force = force - p.coef[j] * values
-            Z[:, k] = values.ravel() - p.center[j]
+            Z[:, k] = values.ravel() - p.constant.center[j]
     variance = np.einsum("ij,jk,ik->i", Z, p.covariance, Z)
     return force, np.sqrt(np.maximum(variance, 0.0)).reshape(n)
 

@@ -15,7 +15,7 @@ from bayeq.expressions import Binary, Expression, Node, Number, Symbol, Tape, nu
 from bayeq.expressions.evaluate import Program
 from bayeq.expressions.implicit import solved
 from bayeq.expressions.nodes import jumps_of
-from bayeq.inference.posterior import Posterior
+from bayeq.inference.posterior import Constant, Posterior
 from bayeq.ode.rk4 import Drive, local_errors
 from bayeq.states import Chain, Motion, Roles, rates
 
@@ -51,7 +51,7 @@ def solved_laws(laws: Sequence[Law]) -> list[Law]:
     return [
         law._replace(
             terms=(Expression(side),),
-            posterior=replace(law.posterior, support=alone, coef=np.ones(1), center=np.zeros(1), target_mean=0.0),
+            posterior=replace(law.posterior, support=alone, coef=np.ones(1), constant=Constant(np.zeros(1))),
         )
         for law, side in zip(laws, sides, strict=True)
     ]
@@ -172,7 +172,7 @@ class Dynamics:
         for block, law, constant in zip(self.blocks(), self.laws, self.intercepts, strict=True):
             # intercept = mean(y) - center'theta, where mean(y) has variance sigma^2/n
             p = law.posterior
-            carried = p.covariance @ p.center[p.support]
+            carried = p.covariance @ p.constant.center[p.support]
             whole = np.block([[np.array([[p.intercept_sd**2]]), -carried], [-carried[:, None], p.covariance]])
             out[block, block] = whole[not constant :, not constant :]
         return out

@@ -25,7 +25,7 @@ from bayeq.forecast.rows import (
     rows_of,
     window_of,
 )
-from bayeq.inference.posterior import Posterior
+from bayeq.inference.posterior import Projected
 from bayeq.numerics.settings import FORECAST
 from bayeq.ode.rk4 import Drive, check_interpolation, free_runs, interpolant, shoot
 from bayeq.records import Record
@@ -151,7 +151,11 @@ def forecast(
     if draws:
         rng, laws = np.random.default_rng(seed), dynamics.laws
         drawn = dynamics.draw(draws, rng)
-        forces = [drawn_sines(law.posterior, draws, rng) for law in laws if law.posterior.error_lines]
+        forces = [
+            drawn_sines(law.posterior.projected, draws, rng)
+            for law in laws
+            if law.posterior.projected and law.posterior.error_lines
+        ]
         forced = Dynamics.of(laws, dynamics.inputs, dynamics.intercepts, dynamics.timed, forced=True)
         below, above, blown = run_bands(forced, drawn, first, drive, forces)
         bottom = dict(zip(dynamics.states, below.T, strict=True))
@@ -432,17 +436,17 @@ def run_bands(
     return bottom, top, int(np.count_nonzero(stopped))
 
 
-def drawn_sines(posterior: Posterior, count: int, rng: np.random.Generator) -> Floats:
-    """Random forces of the size and spectrum of what an equation leaves out, sums of sines (Shinozuka and Jan 1972).
+def drawn_sines(own: Projected, count: int, rng: np.random.Generator) -> Floats:
+    """Random forces of the size and spectrum of an equation's error, sums of sines (Shinozuka and Jan 1972).
 
     Of each force, amplitude, angular frequency [rad/s] and phase of M sines, (count, M, 3), which have the same share
     of the power. Every force has its own frequencies between the lines that are known: a resonance could fall between
     the same few lines of all runs.
     """
-    size, first = len(posterior.error_lines), np.arange(len(posterior.error_lines))
+    size, first = len(own.error_lines), np.arange(len(own.error_lines))
     levels = (first + rng.random((count, size))) / size
-    frequency = np.interp(levels, (first + 0.5) / size, posterior.error_lines)
-    a, b = (posterior.error_sd or 0.0) / np.sqrt(size) * rng.standard_normal((2, count, size))
+    frequency = np.interp(levels, (first + 0.5) / size, own.error_lines)
+    a, b = own.error_sd / np.sqrt(size) * rng.standard_normal((2, count, size))
     return np.stack([np.hypot(a, b), 2.0 * np.pi * frequency, np.arctan2(b, a)], axis=2)
 
 

@@ -28,30 +28,32 @@ def spike_slab_auto(gram: GramLike, prior: Prior | None = None, *, tolerance: fl
     """SS-VB and model averaging together, of a standardised Gram, by default with the paper's prior.
 
     From model averaging, which may leave out the `tolerance` of the posterior mass, are `pip`, `support` (the median
-    probability model), `coef` and `covariance` (exact given that model), `averaged_coef`, `averaged_sd`,
-    `noise_variance`, `average`. From variational Bayes are `elbo`, `elbo_trace`, and `optimum`, the terms at its
-    optimum. If the models listed leave out enough to change probabilities by more than 2 %, collapsed Gibbs sampling,
-    of this seed, gives what averaging would have; `average` is then None and `rhat` is not.
+    probability model), `coef` and `covariance` (exact given that model), `averaged`, `noise_variance`. From variational
+    Bayes are, in `details`, `elbo_trace` and `optimum`, the terms at its optimum. If the models listed leave out enough
+    to change probabilities by more than 2 %, collapsed Gibbs sampling, of this seed, gives what averaging would have;
+    `average` is then None and ``details.rhat`` is not.
 
     Where signs or bounds are known the answer is that of model averaging alone, however much mass the models listed
-    leave out: variational Bayes and the sampler take none. `elbo` and `optimum` are then None.
+    leave out: variational Bayes and the sampler take none. ``details.elbo`` and `optimum` are then None.
     """
     bma = spike_slab_bma(gram, prior, tolerance=tolerance)
     if prior is not None and prior.limits is not None:
-        return replace(bma, method="auto")
+        return replace(bma, details=replace(bma.details, method="auto"))
     assert bma.average is not None
     best = list(bma.average.models[:VB_STARTS])
     listed = shares(bma.average.models, bma.average.probability)
-    if not bma.converged and float(np.abs(listed - bma.pip).max()) > INFERENCE.most_left_out:
+    if not bma.details.converged and float(np.abs(listed - bma.pip).max()) > INFERENCE.most_left_out:
         samples = min(SAMPLES, max(500, SAMPLED_TERMS // len(gram.names)))
         bma = spike_slab_gibbs(gram, prior, samples=samples, burn_in=samples // 5, seed=seed, keep_draws=False)
     vb = spike_slab_vb(gram, prior, models=best)
     return replace(
         bma,
-        method="auto",
-        elbo=vb.elbo,
-        elbo_trace=vb.elbo_trace,
-        n_iter=vb.n_iter,
-        converged=vb.converged and bma.converged,
-        optimum=vb.support,
+        details=replace(
+            bma.details,
+            method="auto",
+            n_iter=vb.details.n_iter,
+            converged=vb.details.converged and bma.details.converged,
+            elbo_trace=vb.details.elbo_trace,
+            optimum=vb.support,
+        ),
     )

@@ -19,7 +19,7 @@ from bayeq.inference.collapsed.listing import ENUMERATE, ModelSet, list_models, 
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.slab import exact_posterior
 from bayeq.inference.collapsed.tableau import active_block, drifted, flip, renew, swept
-from bayeq.inference.posterior import ModelAverage, Posterior
+from bayeq.inference.posterior import Averaged, Constant, Details, ModelAverage, Posterior
 from bayeq.inference.prior import Prior
 from bayeq.kernels import kernel
 
@@ -164,30 +164,31 @@ def spike_slab_bma(
         mean, square = mean * lacking, square * lacking
     support, kept = pip > 0.5, float(weights[:MOST_KEPT].sum()) if len(weights) > MOST_KEPT else 1.0
     coef, conditional = exact_posterior(problem, support, limits)
+    listed = ModelAverage(
+        models=found.models[:MOST_KEPT],
+        probability=weights[:MOST_KEPT] / kept,
+        left_out=found.left_out if kept == 1.0 else 1.0 - kept * (1.0 - found.left_out),
+        terms=terms,
+        covariance=second - np.outer(mean[terms], mean[terms]),
+    )
     return Posterior(
-        method="bma",
         names=gram.names,
         pip=pip,
         support=support,
         coef=coef,
         covariance=conditional,
-        center=np.zeros(len(pip)),
-        target_mean=0.0,
+        constant=Constant(np.zeros(len(pip))),
         noise_variance=float(noise),
         n=round(gram.dof) + 1,
-        n_iter=found.expanded,
-        converged=converged,
-        slab_variance=problem.slab_variance,
-        averaged_coef=mean,
-        averaged_sd=np.sqrt(np.maximum(square - mean * mean, 0.0)),
-        average=ModelAverage(
-            models=found.models[:MOST_KEPT],
-            probability=weights[:MOST_KEPT] / kept,
-            left_out=found.left_out if kept == 1.0 else 1.0 - kept * (1.0 - found.left_out),
-            terms=terms,
-            covariance=second - np.outer(mean[terms], mean[terms]),
+        details=Details(
+            "bma",
+            found.expanded,
+            converged,
+            problem.slab_variance,
+            contradicted=tuple(gram.names[j] for j in found.contradicted),
         ),
-        contradicted=tuple(gram.names[j] for j in found.contradicted),
+        averaged=Averaged(mean, np.sqrt(np.maximum(square - mean * mean, 0.0))),
+        average=listed,
     )
 
 

@@ -32,7 +32,7 @@ from bayeq.inference.collapsed.tableau import (
     swap_gains,
     swept,
 )
-from bayeq.inference.posterior import Draws, Posterior
+from bayeq.inference.posterior import Averaged, Constant, Details, Draws, Posterior
 from bayeq.inference.prior import Prior
 from bayeq.kernels import kernel
 
@@ -285,21 +285,16 @@ def spike_slab_gibbs(
     coef, covariance = given_model(problem, support)
     rhat = multivariate_rhat(draws.theta)
     return Posterior(
-        method="gibbs",
         names=gram.names,
         pip=pip,
         support=support,
         coef=coef,
         covariance=covariance,
-        center=np.zeros(len(pip)),
-        target_mean=0.0,
+        constant=Constant(np.zeros(len(pip))),
         noise_variance=float(draws.noise_variance.mean()),
         n=round(gram.dof) + 1,
-        n_iter=samples,
-        converged=rhat < RHAT_LIMIT,
-        slab_variance=problem.slab_variance,
-        averaged_coef=draws.theta.mean(axis=(0, 1)),
-        averaged_sd=draws.theta.std(axis=(0, 1)),
-        rhat=rhat,
-        draws=draws if keep_draws else None,
+        details=Details("gibbs", samples, rhat < RHAT_LIMIT, problem.slab_variance, rhat=rhat),
+        averaged=Averaged(
+            draws.theta.mean(axis=(0, 1)), draws.theta.std(axis=(0, 1)), draws=draws if keep_draws else None
+        ),
     )

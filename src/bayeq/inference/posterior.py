@@ -126,13 +126,120 @@ class ModelAverage:
 
 
 @dataclass(frozen=True, slots=True)
-class Posterior:
-    """Posterior of a sparse linear regression, conditional on the selected terms.
+class Averaged:
+    """Coefficients over all models, 0 in those without their term.
+
+    Attributes
+    ----------
+    coef, sd : (P,) arrays
+        Posterior means and standard deviations.
+    draws : Draws or None
+        Samples of models and coefficients, where they were kept.
+    """
+
+    coef: Floats
+    sd: Floats
+    draws: Draws | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Constant:
+    """What the intercept follows from.
+
+    Attributes
+    ----------
+    center, mean : (P,) array, float
+        Means of the columns and of the target.
+    variance : float or None
+        Of the mean of the target, where it is not sigma^2/n.
+    pip : float or None
+        Probability that the intercept is not zero, where it was judged like a term.
+    left_out : (float, float) or None
+        What the intercept would be, with its standard deviation, where it is probably zero and not in the model.
+    """
+
+    center: Floats
+    mean: float = 0.0
+    variance: float | None = None
+    pip: float | None = None
+    left_out: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Projected:
+    """What the likelihood of the record said before the posterior became its projection.
+
+    Attributes
+    ----------
+    coef, sd : (P,) arrays
+        Coefficients and standard deviations of the likelihood itself.
+    freedom : (P,) array
+        Degrees of freedom of the standard deviations by projection; infinite of those that are known.
+    error_share : float
+        Root mean square of what the terms leave of the right-hand side beside noise, over the target's standard
+        deviation.
+    error_sd : float
+        The same in the unit of the target.
+    error_lines : tuple of float
+        Frequencies [Hz] that divide its power evenly, in ascending order.
+    """
+
+    coef: Floats
+    sd: Floats
+    freedom: Floats
+    error_share: float
+    error_sd: float
+    error_lines: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Details:
+    """How an engine came to its posterior.
 
     Attributes
     ----------
     method : str
         The engine: "vb", "rvm" ...
+    n_iter : int
+        Sweeps or steps taken.
+    converged : bool
+        False if the engine stopped at its iteration limit.
+    slab_variance : float or None
+        v_s under which the posterior was computed.
+    bounds : (P, 2) array or None
+        Bounds that intervals are cut at, infinite where there are none; signs alone are none.
+    contradicted : tuple of str
+        Terms whose known signs or bounds the data contradict.
+    elbo_trace : (n,) array
+        Evidence lower bound of variational Bayes after each sweep.
+    optimum : (P,) bool array or None
+        Terms at the optimum of variational Bayes, where the support is another engine's.
+    rhat : float or None
+        Multivariate potential scale reduction factor of chains.
+    """
+
+    method: str
+    n_iter: int = 0
+    converged: bool = True
+    slab_variance: float | None = None
+    bounds: Floats | None = None
+    contradicted: tuple[str, ...] = ()
+    elbo_trace: Floats = field(default_factory=lambda: np.empty(0))
+    optimum: Bools | None = None
+    rhat: float | None = None
+
+    @property
+    def elbo(self) -> float | None:
+        """Evidence lower bound, where there is one."""
+        return float(self.elbo_trace[-1]) if len(self.elbo_trace) else None
+
+
+@dataclass(frozen=True, slots=True)
+class Posterior:
+    """Posterior of a sparse linear regression, conditional on the selected terms.
+
+    Attributes
+    ----------
     names : tuple of str
         The P candidate terms.
     pip : (P,) array
@@ -143,88 +250,44 @@ class Posterior:
         Posterior mean of the coefficients given the selected set, 0 for a term that is not selected.
     covariance : (r, r) array
         Posterior covariance of the selected coefficients.
-    center, target_mean : (P,) array, float
-        Means of the columns and of the target, from which the intercept follows.
+    constant : Constant
+        What the intercept follows from.
     noise_variance : float
         Posterior estimate of sigma^2.
     n : float
         Rows that the posterior was computed from: an int, or the sum of their weights.
-    elbo : float or None
-        Evidence lower bound, where there is one.
-    elbo_trace : (n_iter,) array
-        ELBO after each sweep.
-    n_iter : int
-        Sweeps or steps taken.
-    converged : bool
-        False if the engine stopped at its iteration limit.
-    slab_variance : float or None
-        v_s under which the posterior was computed.
-    averaged_coef, averaged_sd : (P,) arrays or None
-        Posterior mean and standard deviation of each coefficient over all models, zeros included, where models
-        are averaged.
-    rhat : float or None
-        Multivariate potential scale reduction factor of the chains, where there are any.
-    draws : Draws or None
-        The samples, where they were kept.
+    details : Details
+        How the engine came to it.
+    averaged : Averaged or None
+        The coefficients over all models, where models are averaged.
     average : ModelAverage or None
-        The models that were averaged over.
-    optimum : (P,) bool array or None
-        Terms at the optimum of variational Bayes, where the support is another engine's.
-    contradicted : tuple of str
-        Terms whose known signs or bounds the data contradict.
-    target_mean_variance : float or None
-        Variance of the mean of the target that the intercept follows from, where it is not sigma^2/n.
-    intercept_pip : float or None
-        Probability that the intercept is not zero, where it was judged like a term.
-    left_out_intercept : (float, float) or None
-        What the intercept would be, with its standard deviation, where it is probably zero and not in the model.
-    freedom : (P,) array or None
-        Degrees of freedom of the standard deviations; None, or infinite, of those that are known.
-    likelihood_coef, likelihood_sd : (P,) arrays or None
-        Coefficients and standard deviations of the likelihood itself, where the others are its projection.
-    error_share : float or None
-        Root mean square of what the terms leave of the right-hand side beside noise, over the target's standard
-        deviation, where that is known.
-    error_sd : float or None
-        The same in the unit of the target.
-    error_lines : tuple of float
-        Frequencies [Hz] that divide its power evenly, in ascending order; empty where it is not known.
-    bounds : (P, 2) array or None
-        Bounds that intervals are cut at, infinite where there are none; signs alone are none.
+        The models that were averaged over, where they are listed.
+    projected : Projected or None
+        Of the likelihood itself, where coefficients and intervals are its projection.
     """
 
-    method: str
     names: tuple[str, ...]
     pip: Floats
     support: Bools
     coef: Floats
     covariance: Floats
-    center: Floats
-    target_mean: float
+    constant: Constant
     noise_variance: float
     n: float
-    elbo: float | None = None
-    elbo_trace: Floats = field(default_factory=lambda: np.empty(0))
-    n_iter: int = 0
-    converged: bool = True
-    slab_variance: float | None = None
-    averaged_coef: Floats | None = None
-    averaged_sd: Floats | None = None
-    rhat: float | None = None
-    draws: Draws | None = None
+    details: Details
+    averaged: Averaged | None = None
     average: ModelAverage | None = None
-    optimum: Bools | None = None
-    contradicted: tuple[str, ...] = ()
-    target_mean_variance: float | None = None
-    intercept_pip: float | None = None
-    left_out_intercept: tuple[float, float] | None = None
-    freedom: Floats | None = None
-    likelihood_coef: Floats | None = None
-    likelihood_sd: Floats | None = None
-    error_share: float | None = None
-    error_sd: float | None = None
-    error_lines: tuple[float, ...] = ()
-    bounds: Floats | None = None
+    projected: Projected | None = None
+
+    @property
+    def draws(self) -> Draws | None:
+        """Samples over models, where they were kept."""
+        return None if self.averaged is None else self.averaged.draws
+
+    @property
+    def error_lines(self) -> tuple[float, ...]:
+        """As of `Projected`; empty where it is not known."""
+        return () if self.projected is None else self.projected.error_lines
 
     @property
     def sd(self) -> Floats:
@@ -236,7 +299,7 @@ class Posterior:
     @property
     def intercept(self) -> float:
         """b0 = mean(y) - mean(D) theta, under a flat prior."""
-        return self.target_mean - float(self.center @ self.coef)
+        return self.constant.mean - float(self.constant.center @ self.coef)
 
     @property
     def intercept_sd(self) -> float:
@@ -244,10 +307,11 @@ class Posterior:
 
         0 of one that is not in the model.
         """
-        if self.left_out_intercept is not None:
+        known = self.constant
+        if known.left_out is not None:
             return 0.0
-        c = self.center[self.support]
-        mean = self.noise_variance / self.n if self.target_mean_variance is None else self.target_mean_variance
+        c = known.center[self.support]
+        mean = self.noise_variance / self.n if known.variance is None else known.variance
         return float(np.sqrt(mean + c @ self.covariance @ c))
 
     def rescaled(self, standard: Standardised) -> Posterior:
@@ -276,28 +340,25 @@ class Posterior:
         kept = factor[self.support]
         variance = standard.target_scale**2
         jacobian = standard.source.dof * float(np.log(standard.target_scale))
-        draws, average = self.draws, self.average
+        details, averaged, draws, average = self.details, self.averaged, self.draws, self.average
+        if draws is not None:
+            draws = replace(draws, theta=draws.theta * factor, noise_variance=draws.noise_variance * variance)
+        if averaged is not None:
+            averaged = Averaged(averaged.coef * factor, averaged.sd * factor, draws)
+        if average is not None:
+            own = factor[average.terms]
+            average = replace(average, covariance=average.covariance * np.outer(own, own))
         return replace(
             self,
             # engines see the degrees of freedom only, and round
             n=standard.source.n,
             coef=self.coef * factor,
             covariance=self.covariance * kept[:, None] * kept,
-            center=standard.source.mean,
-            target_mean=standard.source.target_mean,
+            constant=replace(self.constant, center=standard.source.mean, mean=standard.source.target_mean),
             noise_variance=self.noise_variance * variance,
-            elbo=None if self.elbo is None else self.elbo - jacobian,
-            elbo_trace=self.elbo_trace - jacobian,
-            averaged_coef=None if self.averaged_coef is None else self.averaged_coef * factor,
-            averaged_sd=None if self.averaged_sd is None else self.averaged_sd * factor,
-            draws=None
-            if draws is None
-            else replace(draws, theta=draws.theta * factor, noise_variance=draws.noise_variance * variance),
-            average=None
-            if average is None
-            else replace(
-                average, covariance=average.covariance * np.outer(factor[average.terms], factor[average.terms])
-            ),
+            details=replace(details, elbo_trace=details.elbo_trace - jacobian),
+            averaged=averaged,
+            average=average,
         )
 
     def predict(self, D: ArrayLike) -> Floats:
@@ -331,7 +392,7 @@ class Posterior:
             In the unit of the target.
         """
         kept = self.support
-        Z = np.asarray(D, dtype=np.float64)[:, kept] - self.center[kept]
+        Z = np.asarray(D, dtype=np.float64)[:, kept] - self.constant.center[kept]
         spread = np.einsum("ij,jk,ik->i", Z, self.covariance, Z)
         return np.sqrt(spread + self.noise_variance * (1.0 + 1.0 / self.n))
 

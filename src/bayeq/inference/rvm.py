@@ -19,7 +19,7 @@ from bayeq.arrays import Bools, Floats
 from bayeq.gram import GramLike
 from bayeq.inference.collapsed.problem import Columns, Problem, gram_columns
 from bayeq.inference.collapsed.tableau import LOOK, Tableau, active_block, build, enter, leave, strayed
-from bayeq.inference.posterior import Posterior
+from bayeq.inference.posterior import Constant, Details, Posterior
 from bayeq.inference.prior import Prior
 from bayeq.kernels import kernel
 
@@ -164,16 +164,13 @@ def rvm(gram: GramLike, prior: Prior | None = None, *, least_gamma: float = 0.0,
         support[j] = False
     mu = np.where(support, T.partial, 0.0)
     return Posterior(
-        method="rvm",
         names=gram.names,
         pip=gamma,
         support=support,
         coef=mu,
         covariance=noise * active_block(T, np.flatnonzero(support)),
-        center=np.zeros(len(gram.names)),
-        target_mean=0.0,
+        constant=Constant(np.zeros(len(gram.names))),
         noise_variance=float(noise),
         n=round(gram.dof) + 1,
-        n_iter=int(steps),
-        converged=bool(converged),
+        details=Details("rvm", int(steps), bool(converged)),
     )

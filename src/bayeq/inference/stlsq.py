@@ -14,7 +14,7 @@ import numpy as np
 from bayeq.arrays import Bools, Floats
 from bayeq.errors import InputError
 from bayeq.gram.gram import Gram, GramLike, dense
-from bayeq.inference.posterior import Posterior
+from bayeq.inference.posterior import Constant, Details, Posterior
 from bayeq.inference.prior import Prior
 from bayeq.kernels import kernel
 
@@ -204,19 +204,16 @@ def _posterior(
     variance = _residual_sum(yty, K, c, coef) / max(gram.dof - len(kept), 1.0)
     information = K[np.ix_(kept, kept)] + ridge * np.eye(len(kept))
     return Posterior(
-        method="stlsq",
         names=gram.names,
         pip=support.astype(np.float64),
         support=support,
         coef=coef.copy(),
         covariance=variance * _inverse(information),
         # a centre of zero and no mean of the target: no intercept
-        center=mean if centred else np.zeros(len(coef)),
-        target_mean=target_mean if centred else 0.0,
+        constant=Constant(mean, target_mean) if centred else Constant(np.zeros(len(coef))),
         noise_variance=variance,
         n=n,
-        n_iter=abs(steps),
-        converged=steps > 0,
+        details=Details("stlsq", abs(steps), steps > 0),
     )
 
 

@@ -21,7 +21,7 @@ from bayeq.gram import GramLike
 from bayeq.inference.collapsed.problem import Problem, fetch
 from bayeq.inference.collapsed.search import RVM_START_TERMS, candidate_models, default_starts, greedy_model, neighbours
 from bayeq.inference.collapsed.tableau import GAIN_TOLERANCE, expit
-from bayeq.inference.posterior import Posterior
+from bayeq.inference.posterior import Constant, Details, Posterior
 from bayeq.inference.prior import Prior
 from bayeq.inference.rvm import rvm_gamma
 from bayeq.kernels import kernel
@@ -326,19 +326,13 @@ def spike_slab_vb(
     support = np.zeros(len(best_w), dtype=np.bool_)
     support[index[kept]] = True
     return Posterior(
-        method="vb",
         names=gram.names,
         pip=best_w,
         support=support,
         coef=np.where(support, mu, 0.0),
         covariance=sigma[kept[:, None], kept],
-        center=np.zeros(len(best_w)),
-        target_mean=0.0,
+        constant=Constant(np.zeros(len(best_w))),
         noise_variance=float(rate / shape),
         n=round(gram.dof) + 1,
-        elbo=float(trace[-1]),
-        elbo_trace=trace,
-        n_iter=len(trace),
-        converged=len(trace) < max_iter,
-        slab_variance=problem.slab_variance,
+        details=Details("vb", len(trace), len(trace) < max_iter, problem.slab_variance, elbo_trace=trace),
     )

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from bayeq.arrays import Bools, Floats, Ints
 from bayeq.expressions.evaluate import Program, run_tape
-from bayeq.inference.posterior import ModelAverage, Posterior
+from bayeq.inference.posterior import Averaged, ModelAverage, Posterior
 from bayeq.kernels import kernel
 from bayeq.likelihood.layout import HELD, SMOOTH, STRAIGHT, Candidates, Stated
 from bayeq.ode.rk4 import STAGES
@@ -345,7 +345,7 @@ class Flows:
         """A posterior of flows as one of coefficients, both in units of their priors."""
         average = found.average
         assert average is not None
-        assert found.averaged_coef is not None
+        assert found.averaged is not None
         units = self.matrix * np.sqrt(precision)[:, None] / np.sqrt(self.precision(precision))
         models, which = np.unique(average.models @ self.matrix.T.astype(np.bool_), axis=0, return_inverse=True)
         probability: Floats = np.bincount(which.ravel(), weights=average.probability).astype(np.float64)
@@ -357,7 +357,7 @@ class Flows:
             support = models[0]
         terms = np.flatnonzero(models.any(axis=0))
         spread = units[:, average.terms] @ average.covariance @ units[:, average.terms].T
-        coef = units @ found.averaged_coef
+        coef = units @ found.averaged.coef
         return replace(
             found,
             names=tuple(map(str, range(len(pip)))),
@@ -365,8 +365,7 @@ class Flows:
             support=support,
             coef=np.where(support, coef, 0.0),
             covariance=spread[np.ix_(support, support)],
-            center=np.zeros(len(pip)),
-            averaged_coef=coef,
-            averaged_sd=np.sqrt(np.maximum(np.diagonal(spread), 0.0)),
+            constant=replace(found.constant, center=np.zeros(len(pip))),
+            averaged=Averaged(coef, np.sqrt(np.maximum(np.diagonal(spread), 0.0))),
             average=ModelAverage(models, probability, average.left_out, terms, spread[np.ix_(terms, terms)]),
         )

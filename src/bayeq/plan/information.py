@@ -53,8 +53,7 @@ class CandidateModel:
             support=support,
             coef=coef,
             covariance=np.zeros((size, size)),
-            center=np.zeros(len(coef)),
-            target_mean=self.intercept,
+            constant=replace(like.constant, center=np.zeros(len(coef)), mean=self.intercept),
         )
 
 
@@ -68,7 +67,7 @@ def likeliest_models(fit: RegressionFit) -> tuple[CandidateModel, ...]:
     if posterior.average is not None:
         models, probability = posterior.average.models, posterior.average.probability
     else:
-        compares = ENGINES[posterior.method].spike_slab
+        compares = ENGINES[posterior.details.method].spike_slab
         moves = neighbours(fit.problem, posterior.support, PLAN.models_within) if compares else []
         listed = np.array([posterior.support, *(move.apply(posterior.support) for move in moves)])
         log_odds = np.array([0.0, *(move.gain for move in moves)])

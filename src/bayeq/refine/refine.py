@@ -293,14 +293,11 @@ def _posterior(before: Posterior, parameters: Floats, covariance: Floats, free: 
         before,
         coef=coef,
         covariance=spread,
-        center=center,
-        target_mean=intercept + float(center @ coef),
+        constant=replace(before.constant, center=center, mean=intercept + float(center @ coef)),
         noise_variance=noise,
         # as many rows as make the variance of the intercept noise_variance/n; an intercept of zero is known exactly
         n=min(noise / max(left, 1e-300), MOST_ROWS),
-        averaged_coef=None,
-        averaged_sd=None,
-        draws=None,
+        averaged=None,
     )
 
 

@@ -13,7 +13,7 @@ from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
 from bayeq.dictionary.ranges import ConstantEstimate, Forms
 from bayeq.expressions import Expression
-from bayeq.inference.posterior import Posterior
+from bayeq.inference.posterior import Posterior, Projected
 from bayeq.likelihood.adequacy import Change, Discrepancy, Octave
 from bayeq.likelihood.fit import solved
 from bayeq.likelihood.projection import projected
@@ -102,7 +102,7 @@ class RecordRegression(Regression):
 
     def reported(self, found: Posterior, basis: Floats, limits: Floats | None, free: bool) -> Posterior:
         """As of `Regression`: of the terms that the record was fitted with by projection."""
-        found = replace(found, target_mean_variance=found.noise_variance / found.n)
+        found = replace(found, constant=replace(found.constant, variance=found.noise_variance / found.n))
         block = self.record.block(self.k)
         model = self.record.fitted.model[block]
         if self.record.task.flows is not None and bool((model[:-1] == found.support).all()):
@@ -125,7 +125,7 @@ class RecordRegression(Regression):
         whole[:r, : basis.shape[1]] = basis
         whole[r:, basis.shape[1] :] = 1.0
         if not free or basis.shape[1] < r:
-            carried = found.covariance @ found.center[kept]
+            carried = found.covariance @ found.constant.center[kept]
             whole_covariance = np.block(
                 [[found.covariance, -carried[:, None]], [-carried[None], np.array([[found.intercept_sd**2]])]]
             )
@@ -147,12 +147,7 @@ class RecordRegression(Regression):
         every[kept] = np.maximum(freedom[:r], LEAST_FREEDOM)
         found = replace(
             found,
-            freedom=every,
-            likelihood_coef=own,
-            likelihood_sd=sd,
-            error_share=moved.share,
-            error_sd=moved.share * math.sqrt(left.target),
-            error_lines=left.lines,
+            projected=Projected(own, sd, every, moved.share, moved.share * math.sqrt(left.target), left.lines),
         )
         return _with_constant(found, theta + change, both)
 
@@ -171,7 +166,7 @@ def _with_constant(found: Posterior, theta: Floats, both: Floats) -> Posterior:
         center[kept] = -np.linalg.lstsq(both[:r, :r] / np.outer(unit, unit), both[:r, r] / unit)[0] / unit
     mean = float(theta[r] + center @ found.coef)
     variance = max(float(both[r, r] - center[kept] @ both[:r, :r] @ center[kept]), 0.0)
-    return replace(found, center=center, target_mean=mean, target_mean_variance=variance)
+    return replace(found, constant=replace(found.constant, center=center, mean=mean, variance=variance))
 
 
 # Half of the step of central differences, as a share of what is changed: their error is about its square.
@@ -206,16 +201,17 @@ def calibrated(regression: Regression, posterior: Posterior, basis: Floats) -> P
         added += sd**2 * np.outer(change, change)
         constant += (sd * of_constant) ** 2
     covariance = posterior.covariance + added
-    mean = posterior.target_mean_variance
-    if posterior.left_out_intercept is None:
+    own, averaged = posterior.constant, posterior.averaged
+    if own.left_out is None:
         # such that the intercept has the variance that it had, and that of its own change
-        center = posterior.center[kept]
+        center = own.center[kept]
         mean = max(posterior.intercept_sd**2 + constant - float(center @ covariance @ center), 0.0)
-    averaged = posterior.averaged_sd
+        own = replace(own, variance=mean)
     if averaged is not None:
-        averaged = averaged.copy()
-        averaged[kept] = np.sqrt(averaged[kept] ** 2 + posterior.pip[kept] * np.diagonal(added))
-    return replace(posterior, covariance=covariance, target_mean_variance=mean, averaged_sd=averaged)
+        wider = averaged.sd.copy()
+        wider[kept] = np.sqrt(wider[kept] ** 2 + posterior.pip[kept] * np.diagonal(added))
+        averaged = replace(averaged, sd=wider)
+    return replace(posterior, covariance=covariance, constant=own, averaged=averaged)
 
 
 def _change_by_factor(
@@ -236,7 +232,7 @@ def _change_by_factor(
         X = np.column_stack([D @ basis, np.ones(len(D))])
         products += X.T @ X
         moved += X.T @ (target * (D @ theta + posterior.intercept) - by_factor @ theta)
-    if posterior.left_out_intercept is not None:
+    if posterior.constant.left_out is not None:
         return basis @ solved(products[:free, :free], moved[:free]), 0.0
     change = solved(products, moved)
     return basis @ change[:free], float(change[free])

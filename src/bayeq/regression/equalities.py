@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from bayeq.arrays import Bools, Floats
 from bayeq.errors import InputError
 from bayeq.gram import Gram
-from bayeq.inference.posterior import Draws, ModelAverage, Posterior
+from bayeq.inference.posterior import Averaged, Draws, ModelAverage, Posterior
 
 # A difference smaller than this share of what it is the difference of is rounding.
 ROUNDING = 1e-12
@@ -157,6 +157,9 @@ class Equalities:
         jacobian = self._jacobian(support, posterior.support)
         draws = None if posterior.draws is None else self._draws(posterior.draws)
         average = None if posterior.average is None else self._average(posterior.average)
+        averaged, optimum = posterior.averaged, posterior.details.optimum
+        if averaged is not None:
+            averaged = Averaged(self._values(averaged.coef), self._averaged_sd(posterior, averaged, draws), draws)
         return replace(
             posterior,
             names=self.names,
@@ -164,13 +167,10 @@ class Equalities:
             support=support,
             coef=self._values(posterior.coef),
             covariance=jacobian @ posterior.covariance @ jacobian.T,
-            center=gram.mean,
-            target_mean=gram.target_mean,
-            averaged_coef=None if posterior.averaged_coef is None else self._values(posterior.averaged_coef),
-            averaged_sd=None if posterior.averaged_sd is None else self._averaged_sd(posterior, draws),
-            draws=draws,
+            constant=replace(posterior.constant, center=gram.mean, mean=gram.target_mean),
+            details=replace(posterior.details, optimum=None if optimum is None else self._any(optimum)),
+            averaged=averaged,
             average=average,
-            optimum=None if posterior.optimum is None else self._any(posterior.optimum),
         )
 
     def _full(self, kept: NDArray[Any], eliminated: NDArray[Any]) -> NDArray[Any]:
@@ -203,9 +203,8 @@ class Equalities:
             pip = np.where(self.slopes != 0.0, posterior.pip, 0.0).max(axis=1)
         return self._full(posterior.pip, np.where(self.offsets != 0.0, 1.0, pip))
 
-    def _averaged_sd(self, posterior: Posterior, draws: Draws | None) -> Floats:
-        assert posterior.averaged_sd is not None
-        sd, average = posterior.averaged_sd, posterior.average
+    def _averaged_sd(self, posterior: Posterior, averaged: Averaged, draws: Draws | None) -> Floats:
+        sd, average = averaged.sd, posterior.average
         if draws is not None:
             found = draws.theta[..., self.eliminated].std(axis=(0, 1))
         elif average is not None and len(average.terms) == np.count_nonzero(average.models.any(axis=0)):

@@ -73,7 +73,8 @@ class RegressionFit:
             limits[equalities.kept] = self.prior.limits * (self.standard.target_scale / self.standard.scale)[:, None]
             limits = np.where(np.isfinite(self.constraints.limits), self.constraints.limits, limits)
         found = self.regression.reported(found, basis, limits, not self._truncated(posterior.support))
-        return replace(calibrated(self.regression, found, basis), bounds=self.constraints.bounds)
+        found = calibrated(self.regression, found, basis)
+        return replace(found, details=replace(found.details, bounds=self.constraints.bounds))
 
     def beyond_bounds(self, most: float) -> dict[str, tuple[float, float, float]]:
         """Terms whose coefficients would be further beyond their bounds than `most` standard deviations without these.
@@ -86,7 +87,7 @@ class RegressionFit:
         if bounds is None:
             return found
         for k in np.flatnonzero(limited(bounds[kept]) & (self.problem.log_odds > -np.inf)):
-            refused = names[k] in self.posterior.contradicted
+            refused = names[k] in self.posterior.details.contradicted
             for beside in (self.posterior.support, *([best_models(self.problem)[0][1]] if refused else [])):
                 model = beside | (np.arange(len(names)) == k)
                 mean, covariance = given_model(self.problem, model)
@@ -173,7 +174,7 @@ def mixture_of(fit: RegressionFit, reported: Posterior, struck: Bools | None = N
     """
     posterior, average, draws = fit.posterior, fit.posterior.average, fit.posterior.draws
     again = struck is not None and bool(struck.any())
-    if posterior.averaged_coef is None or posterior.averaged_sd is None or (again and average is None):
+    if posterior.averaged is None or (again and average is None):
         return None
     whole = fit.expanded(posterior)
     if average is not None:
@@ -185,7 +186,10 @@ def mixture_of(fit: RegressionFit, reported: Posterior, struck: Bools | None = N
         assert whole.draws is not None
         z, theta = (values.reshape(-1, len(whole.names)) for values in (whole.draws.z, whole.draws.theta))
         inside = np.vstack([z.T > 0, np.ones(len(z), dtype=np.bool_)])
-        mean, share = np.vstack([theta.T, whole.target_mean - theta @ whole.center]), np.full(len(z), 1.0 / len(z))
+        mean, share = (
+            np.vstack([theta.T, whole.constant.mean - theta @ whole.constant.center]),
+            np.full(len(z), 1.0 / len(z)),
+        )
         sd = np.zeros(mean.shape)
         sd[-1] = np.sqrt(_mean_variance(reported))
     else:
@@ -206,7 +210,7 @@ def mixture_of(fit: RegressionFit, reported: Posterior, struck: Bools | None = N
 def _given_models(fit: RegressionFit, models: Bools, reported: Posterior) -> tuple[Bools, Floats, Floats]:
     """Of each term, then the intercept, in each model: whether it is in, mean and standard deviation, (P + 1, K)."""
     (factor, change), own = _moved(fit, reported), _mean_variance(reported)
-    few = replace(fit.posterior, average=None, draws=None, averaged_coef=None, averaged_sd=None)
+    few = replace(fit.posterior, averaged=None, average=None)
     shape = len(reported.names) + 1, len(models)
     inside, mean, sd = np.ones(shape, dtype=np.bool_), np.zeros(shape), np.zeros(shape)
     for k, model in enumerate(models):
@@ -215,33 +219,32 @@ def _given_models(fit: RegressionFit, models: Bools, reported: Posterior) -> tup
         kept, wide = one.support, factor[one.support]
         inside[:-1, k], mean[:-1, k], mean[-1, k] = kept, one.coef + kept * change, one.intercept
         sd[:-1, k] = one.sd * factor
-        center = one.center[kept] * wide
+        center = one.constant.center[kept] * wide
         sd[-1, k] = np.sqrt(own + center @ one.covariance @ center)
     return inside, mean, sd
 
 
 def _mean_variance(reported: Posterior) -> float:
     """Variance of the intercept were the coefficients known: that of the target's mean."""
-    center = reported.center[reported.support]
+    center = reported.constant.center[reported.support]
     return max(reported.intercept_sd**2 - float(center @ reported.covariance @ center), 0.0)
 
 
 def _moved(fit: RegressionFit, reported: Posterior) -> tuple[Floats, Floats]:
     """What a model as it is reported differs by from its posterior: factors of deviations, changes of means."""
     factor, change = np.ones(len(reported.names)), np.zeros(len(reported.names))
-    if reported.freedom is not None and reported.support.any():
+    if reported.projected is not None and reported.support.any():
         exact = fit.expanded(fit.conditional(reported.support[fit.constraints.equalities.kept]))
         known = exact.sd > 0.0
-        factor[known] = t95(reported.freedom[known]) / Z95 * reported.sd[known] / exact.sd[known]
+        factor[known] = t95(reported.projected.freedom[known]) / Z95 * reported.sd[known] / exact.sd[known]
         change[known] = (reported.coef - exact.coef)[known]
     return factor, change
 
 
 def _moments_given_in(whole: Posterior) -> tuple[Floats, Floats]:
     """Mean and standard deviation of each coefficient given that its term is in, from those over all models."""
-    assert whole.averaged_coef is not None
-    assert whole.averaged_sd is not None
+    assert whole.averaged is not None
     pip = np.maximum(whole.pip, np.finfo(np.float64).tiny)
-    mean = whole.averaged_coef / pip
-    square = (whole.averaged_sd**2 + whole.averaged_coef**2) / pip
+    mean = whole.averaged.coef / pip
+    square = (whole.averaged.sd**2 + whole.averaged.coef**2) / pip
     return mean, np.sqrt(np.maximum(square - mean**2, 0.0))

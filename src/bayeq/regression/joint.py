@@ -15,7 +15,7 @@ from bayeq.errors import InputError
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.slab import exact_posterior
 from bayeq.inference.engines import ENGINES
-from bayeq.inference.posterior import ModelAverage, Posterior
+from bayeq.inference.posterior import Averaged, Constant, Details, ModelAverage, Posterior
 from bayeq.inference.prior import Prior
 from bayeq.inference.vb import spike_slab_vb
 from bayeq.likelihood.hidden import seen_in
@@ -167,7 +167,7 @@ def refitted(fits: Sequence[RegressionFit], models: Sequence[Bools]) -> list[Reg
             one,
             regression=replace(one.regression, gram=record.standards[k].source, record=record),
             standard=record.standards[k],
-            posterior=replace(one.posterior, left_out_intercept=record.left_out_intercept(k)),
+            posterior=_judged(one.posterior, record, k),
         )
         for k, one in enumerate(fits)
         if isinstance(one.regression, RecordRegression)
@@ -185,9 +185,14 @@ def _by_engine(
     prior = constraints.prior(Prior(slab_variance=1.0, prior_inclusion=inclusion), unit)
     options = {"seed": seed} if engine.random else {}
     posterior = engine.run(standard.gram, prior, **options)
-    judged = float(record.posterior.pip[record.block(k).stop - 1])
-    posterior = replace(posterior, intercept_pip=judged, left_out_intercept=record.left_out_intercept(k))
-    return RegressionFit(regression, constraints, standard, prior, posterior)
+    return RegressionFit(regression, constraints, standard, prior, _judged(posterior, record, k))
+
+
+def _judged(posterior: Posterior, record: RecordFit, k: int) -> Posterior:
+    """A posterior of equation k with what the likelihood says of the constant."""
+    pip = float(record.posterior.pip[record.block(k).stop - 1])
+    constant = replace(posterior.constant, pip=pip, left_out=record.left_out_intercept(k))
+    return replace(posterior, constant=constant)
 
 
 def _equation(regression: Regression, record: RecordFit, constraints: Constraints, method: str) -> RegressionFit:
@@ -199,34 +204,26 @@ def _equation(regression: Regression, record: RecordFit, constraints: Constraint
     prior = Prior(slab_variance=1.0, prior_inclusion=np.asarray(record.task.known.prior_inclusion)[terms])
     support = joint.support[terms]
     coef, covariance = exact_posterior(Problem.of(standard.gram, prior), support, None)
+    assert joint.averaged is not None
     assert joint.average is not None
-    assert joint.averaged_coef is not None
-    assert joint.averaged_sd is not None
     average = _marginal(joint.average, terms)
     posterior = Posterior(
-        method=method,
         names=standard.source.names,
         pip=joint.pip[terms],
         support=support,
         coef=coef,
         covariance=covariance,
-        center=np.zeros(len(terms)),
-        target_mean=0.0,
+        constant=Constant(np.zeros(len(terms))),
         noise_variance=1.0,
         n=standard.source.n,
-        n_iter=joint.n_iter,
-        converged=joint.converged,
-        slab_variance=1.0,
-        averaged_coef=joint.averaged_coef[terms],
-        averaged_sd=joint.averaged_sd[terms],
+        details=Details(method, joint.details.n_iter, joint.details.converged, 1.0),
+        averaged=Averaged(joint.averaged.coef[terms], joint.averaged.sd[terms]),
         average=average,
-        intercept_pip=float(joint.pip[block[-1]]),
-        left_out_intercept=record.left_out_intercept(k),
     )
     if method == "auto":
         vb = spike_slab_vb(standard.gram, prior, models=list(average.models[:VB_STARTS]))
-        posterior = replace(posterior, elbo=vb.elbo, elbo_trace=vb.elbo_trace)
-    return RegressionFit(regression, constraints, standard, prior, posterior)
+        posterior = replace(posterior, details=replace(posterior.details, elbo_trace=vb.details.elbo_trace))
+    return RegressionFit(regression, constraints, standard, prior, _judged(posterior, record, k))
 
 
 def _marginal(joint: ModelAverage, terms: np.ndarray[tuple[int], np.dtype[np.intp]]) -> ModelAverage:

@@ -177,7 +177,7 @@ def select(fits: Sequence[RegressionFit], rules: Rules, motion: Motion, whole: b
     if whole:
         return chosen
     chosen = [_likeliest_part(one) for one in chosen]
-    compared = rules.tolerance != 0.0 and all(ENGINES[fit.posterior.method].spike_slab for fit in fits)
+    compared = rules.tolerance != 0.0 and all(ENGINES[fit.posterior.details.method].spike_slab for fit in fits)
     tolerance = rules.tolerance or SELECTION.tolerance
     if compared:
         moves = motion.timed and bool(motion.roles.states)
@@ -264,14 +264,14 @@ def likeliest_instead(
     posteriors of every equation given its included terms; `runs` are None without time.
     """
     included = found[k]
-    if included.average is None or included.averaged_coef is None or not len(included.average.models):
+    if included.average is None or included.averaged is None or not len(included.average.models):
         return None
     best = included.average.models[0]
     if bool((best == included.support).all()):
         return None
     likeliest = fit.given(best)
-    used = included.averaged_coef != 0.0
-    mean = replace(included, support=used, coef=included.averaged_coef, covariance=np.zeros((int(used.sum()),) * 2))
+    used = included.averaged.coef != 0.0
+    mean = replace(included, support=used, coef=included.averaged.coef, covariance=np.zeros((int(used.sum()),) * 2))
     rows, whole = fit.regression.rows, fit.expanded(mean)
     own, other = (prediction_difference(rows, fit.expanded(one), whole) for one in (included, likeliest))
     if own > tolerance and other < own:

@@ -223,10 +223,11 @@ def _run(config: StudyConfig, task: Task, name: str, data: Realisation) -> Resul
     metrics = measure(data.train, data.test, data.truth, answer.support, answer.coef)
     if not metrics.finite:
         raise FloatingPointError("coefficients that are not finite")
+    details = answer.details
     selected = tuple(data.train.names[j] for j in np.flatnonzero(answer.support))
-    said = {name: value for name in ("elbo", "rhat") if (value := getattr(answer, name)) is not None}
-    extras = {"n_iter": int(answer.n_iter)} | {k: float(value) for k, value in said.items() if math.isfinite(value)}
-    return Result(task.system, task.index, name, metrics, seconds, selected, bool(answer.converged), extras)
+    said = {name: value for name in ("elbo", "rhat") if (value := getattr(details, name)) is not None}
+    extras = {"n_iter": int(details.n_iter)} | {k: float(value) for k, value in said.items() if math.isfinite(value)}
+    return Result(task.system, task.index, name, metrics, seconds, selected, bool(details.converged), extras)
 
 
 # (system, algorithm) -> how many realisations were asked for.
