@@ -159,7 +159,7 @@ def calibrate_one(kind: str, rows: int, seed: tuple[int, ...]) -> Tally:
         covered=int(np.sum(error <= Z95 * fit.sd[fit.support])),
         most_left_out=0.0 if fit.average is None else fit.average.left_out,
         slowest=0.0 if fit.draws is None else correlation_time(fit.draws.theta @ row),
-        rhat=fit.rhat or 0.0,
+        rhat=fit.details.rhat or 0.0,
     )
 
 

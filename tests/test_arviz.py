@@ -32,7 +32,7 @@ def test_rank_rhat_and_effective_sample_sizes():
     assert table.loc["noise_variance", "rhat"] < 1.02
     # sigma^2 is drawn afresh from its collapsed conditional: nearly independent, 4000 draws
     assert 2500 < table.loc["noise_variance", "ess_bulk"] < 6000
-    assert (table.multivariate_rhat == fit.rhat).all()
+    assert (table.multivariate_rhat == fit.details.rhat).all()
     varying = fit.draws.theta.std(axis=(0, 1)) > 0
     assert table.rhat[:-1].notna().to_numpy().tolist() == varying.tolist()
 

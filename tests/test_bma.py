@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -12,6 +14,7 @@ from bayeq.inference.collapsed.listing import enumerate_models, search_models
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import log_constant
 from bayeq.inference.gibbs import spike_slab_gibbs
+from bayeq.inference.posterior import MOVED
 from bayeq.inference.prior import Prior
 from bayeq.inference.vb import spike_slab_vb
 from tests import reference
@@ -74,9 +77,9 @@ def test_averages_are_those_of_the_exact_mixture(search):
         second[np.ix_(z, z)] += weight * (np.outer(a, a) + variance * A)
         noise += weight * variance
     np.testing.assert_allclose(fit.pip, exact, atol=1e-5)
-    np.testing.assert_allclose(fit.averaged_coef, mean, atol=1e-5)
+    np.testing.assert_allclose(fit.averaged.coef, mean, atol=1e-5)
     covariance = second - np.outer(mean, mean)
-    np.testing.assert_allclose(fit.averaged_sd, np.sqrt(np.diag(covariance)), atol=1e-4)
+    np.testing.assert_allclose(fit.averaged.sd, np.sqrt(np.diag(covariance)), atol=1e-4)
     np.testing.assert_allclose(fit.average.covariance, covariance, atol=1e-4)
     assert fit.noise_variance == pytest.approx(noise, rel=1e-5)
     both = models[:, [1, 3]].all(axis=1)
@@ -88,8 +91,8 @@ def test_draws_come_from_the_mixture():
     fit = spike_slab_bma(Gram.from_data(D, y))
     theta, noise, which = sample_average(p, fit.average, 200_000, np.random.default_rng(0))
     np.testing.assert_allclose((theta != 0).mean(axis=0), fit.pip, atol=0.01)
-    np.testing.assert_allclose(theta.mean(axis=0), fit.averaged_coef, atol=0.03 * fit.averaged_sd.max())
-    np.testing.assert_allclose(np.cov(theta.T), fit.average.covariance, atol=0.08 * fit.averaged_sd.max() ** 2)
+    np.testing.assert_allclose(theta.mean(axis=0), fit.averaged.coef, atol=0.03 * fit.averaged.sd.max())
+    np.testing.assert_allclose(np.cov(theta.T), fit.average.covariance, atol=0.08 * fit.averaged.sd.max() ** 2)
     # within the likeliest model sigma^2 is inverse-Gamma(h, s/2)
     best = fit.average.models[0]
     Z = D[:, best]
@@ -119,7 +122,7 @@ def test_room_used_up_is_said(monkeypatch):
     monkeypatch.setattr("bayeq.inference.collapsed.listing.MOST_MODELS", 1000)
     D, y, _ = reference.random_problem(np.random.default_rng(0), n=25, P=40, rho=0.9, noise=3.0)
     fit = spike_slab_bma(Gram.from_data(D, y))
-    assert not fit.converged
+    assert not fit.details.converged
     assert fit.average.left_out > 5e-3
 
 
@@ -151,7 +154,19 @@ def test_auto_says_which_number_came_from_where():
     D, y, _ = reference.random_problem(np.random.default_rng(2), n=150, P=9)
     gram = Gram.from_data(D, y)
     auto, vb, bma = spike_slab_auto(gram), spike_slab_vb(gram), spike_slab_bma(gram)
-    assert auto.elbo == vb.elbo
-    np.testing.assert_array_equal(auto.optimum, vb.support)
+    assert auto.details.elbo == vb.details.elbo
+    np.testing.assert_array_equal(auto.details.optimum, vb.support)
     np.testing.assert_array_equal(auto.pip, bma.pip)
-    np.testing.assert_array_equal(auto.averaged_sd, bma.averaged_sd)
+    np.testing.assert_array_equal(auto.averaged.sd, bma.averaged.sd)
+
+
+def test_fields_of_version_0_2_are_read_with_a_warning():
+    fit = spike_slab_bma(Gram.from_data(*reference.random_problem(np.random.default_rng(0), P=4)[:2]))
+    for name, place in MOVED.items():
+        part, own = place.split(".")
+        with pytest.warns(DeprecationWarning, match=rf"posterior\.{name} is posterior\.{part}\.{own} now"):
+            value = getattr(fit, name)
+        np.testing.assert_equal(value, getattr(getattr(fit, part), own, None))
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        fit.nothing  # noqa: B018
+    assert len(fields(fit)) == 12

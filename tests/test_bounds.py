@@ -196,8 +196,8 @@ def test_averages_against_draws_of_every_model(seed: int) -> None:
     D, y, _ = reference.random_problem(rng, n=14, P=4, rho=0.6, noise=1.0, active=0.5)
     gram = Gram.from_data(D, y)
     free = spike_slab_bma(gram, Prior(5.0, 0.3, 2.0, 2.0))
-    spread = np.maximum(np.abs(free.averaged_coef), 0.3)
-    ends = np.column_stack([free.averaged_coef - spread, free.averaged_coef + 0.2 * spread])
+    spread = np.maximum(np.abs(free.averaged.coef), 0.3)
+    ends = np.column_stack([free.averaged.coef - spread, free.averaged.coef + 0.2 * spread])
     ends[0, 0], ends[1, 1] = -math.inf, math.inf  # one-sided; the third may exclude 0
     ends[3] = [-0.4, 0.3]
     forced = (ends[:, 0] > 0.0) | (ends[:, 1] < 0.0)
@@ -206,8 +206,8 @@ def test_averages_against_draws_of_every_model(seed: int) -> None:
     for most in (14, 0):
         fit = spike_slab_bma(gram, prior, enumerate_up_to=most, tolerance=1e-4)
         np.testing.assert_allclose(fit.pip, pip, atol=1e-2)
-        np.testing.assert_allclose(fit.averaged_coef, mean, atol=0.02 * sd.max())
-        np.testing.assert_allclose(fit.averaged_sd, sd, atol=0.03 * sd.max())
+        np.testing.assert_allclose(fit.averaged.coef, mean, atol=0.02 * sd.max())
+        np.testing.assert_allclose(fit.averaged.sd, sd, atol=0.03 * sd.max())
         inside = (fit.coef >= ends[:, 0]) & (fit.coef <= ends[:, 1])
         assert (inside | ~fit.support).all()
     theta, _, _ = sample_average(Problem.of(gram, prior), fit.average, 500, rng, prior.limits)

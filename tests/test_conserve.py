@@ -107,7 +107,7 @@ def test_the_posterior_of_coefficients_is_that_of_flows() -> None:
     one = spike_slab_bma(Gram.from_data(D - D.mean(axis=0), y - y.mean()), Prior(prior_inclusion=0.3))
     pairs = flows.paired(one, precision)
     unit = np.sqrt(precision)[:, None] * flows.matrix / np.sqrt(flows.precision(precision))
-    np.testing.assert_allclose(pairs.averaged_coef, unit @ one.averaged_coef)
+    np.testing.assert_allclose(pairs.averaged.coef, unit @ one.averaged.coef)
     in_any = sum(
         p * (np.abs(flows.matrix) @ m > 0) for m, p in zip(one.average.models, one.average.probability, strict=True)
     )

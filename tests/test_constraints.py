@@ -276,8 +276,8 @@ def test_an_eliminated_term_is_in_where_one_that_it_follows_from_is():
     T = np.array([[0.5, 0.25], [1.0, 0.0], [0.0, 1.0]])
     np.testing.assert_array_equal(outer.average.terms, [0, 1, 2])
     np.testing.assert_allclose(outer.average.covariance, T @ inner.average.covariance @ T.T)
-    np.testing.assert_allclose(outer.averaged_sd[:3], np.sqrt(np.diagonal(outer.average.covariance)))
-    np.testing.assert_allclose(outer.averaged_coef, np.append(T @ inner.averaged_coef, 0.0))
+    np.testing.assert_allclose(outer.averaged.sd[:3], np.sqrt(np.diagonal(outer.average.covariance)))
+    np.testing.assert_allclose(outer.averaged.coef, np.append(T @ inner.averaged.coef, 0.0))
     np.testing.assert_allclose(
         outer.covariance,
         T[outer.support[:3]][:, inner.support] @ inner.covariance @ T[outer.support[:3]][:, inner.support].T,
@@ -288,10 +288,10 @@ def test_an_eliminated_term_is_in_where_one_that_it_follows_from_is():
     np.testing.assert_allclose(sampled.draws.theta[..., 0], sampled.draws.theta @ [0, 0.5, 0.25, 0], rtol=1e-12)
     np.testing.assert_array_equal(sampled.draws.z[..., 0], sampled.draws.z[..., 1:3].any(axis=-1))
     np.testing.assert_allclose(sampled.pip, outer.pip, atol=0.02)
-    np.testing.assert_allclose(sampled.averaged_sd, outer.averaged_sd, rtol=0.05, atol=1e-12)
+    np.testing.assert_allclose(sampled.averaged.sd, outer.averaged.sd, rtol=0.05, atol=1e-12)
     # without draws the spread is bounded
     bare = constraints.expand(spike_slab_gibbs(reduced, samples=4000, burn_in=500, keep_draws=False), gram)
-    assert bare.averaged_sd[0] >= sampled.averaged_sd[0]
+    assert bare.averaged.sd[0] >= sampled.averaged.sd[0]
     assert bare.pip[0] == max(bare.pip[1:3])
 
 

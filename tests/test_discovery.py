@@ -131,7 +131,7 @@ def test_the_rvm_as_a_method():
     assert eq.method == "rvm"
     assert set(eq[0].included) >= TRUE["linear"]
     np.testing.assert_array_equal(eq[0].posterior.support, eq[0].posterior.pip > 0.5)
-    assert eq[0].posterior.elbo is None
+    assert eq[0].posterior.details.elbo is None
 
 
 def test_prior_given_by_the_user():
@@ -140,7 +140,7 @@ def test_prior_given_by_the_user():
     p0[5] = 1.0
     eq = quietly(rec, **OSCILLATOR, prior=bq.Prior(prior_inclusion=p0, slab_variance=100.0))
     assert "x**3" in eq[0].included
-    assert eq[0].posterior.slab_variance == 100.0
+    assert eq[0].posterior.details.slab_variance == 100.0
 
 
 @pytest.mark.filterwarnings("ignore::bayeq.errors.CorrelatedResidualsWarning")

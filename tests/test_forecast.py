@@ -216,7 +216,7 @@ def test_bands_are_order_statistics_of_single_runs(block, monkeypatch, record, f
         p = found[0].posterior
         coef = p.coef.copy()
         coef[p.support] = theta[1:]
-        one = replace(p, coef=coef, target_mean=theta[0] + float(p.center @ coef))
+        one = replace(p, coef=coef, constant=replace(p.constant, mean=theta[0] + float(p.constant.center @ coef)))
         single = replace(found, equations=(found[0].with_posterior(one),))
         runs.append(single.simulate(record, draws=0, start=50, rows=80, initial=first).mean["x"])
     ordered = np.sort(runs, axis=0)
@@ -235,7 +235,7 @@ def test_draws_have_the_moments_of_the_posterior(found):
         drawn.mean(axis=0), found.dynamics().mean, atol=5e-3 * drawn.std(axis=0).max(), rtol=1e-4
     )
     # the intercept plus center'theta is the mean of the target, which is independent of the coefficients
-    level = drawn[:, 0] + drawn[:, 1:] @ p.center[p.support]
+    level = drawn[:, 0] + drawn[:, 1:] @ p.constant.center[p.support]
     assert level.std() == pytest.approx(math.sqrt(p.noise_variance / p.n), rel=0.01)
     assert np.abs(np.corrcoef(level, drawn[:, 1:].T)[0, 1:]).max() < 0.01
 

@@ -31,8 +31,8 @@ def test_pips_equal_enumeration(seed, exchange):
     # 76,000 samples; 0.02 is some ten standard errors of a mean of correlated draws
     np.testing.assert_allclose(fit.pip, exact, atol=0.02)
     np.testing.assert_allclose(fit.draws.z.mean(axis=(0, 1)), exact, atol=0.02)
-    assert fit.rhat < 1.02
-    assert fit.converged
+    assert fit.details.rhat < 1.02
+    assert fit.details.converged
 
 
 @BOTH

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from bayeq.errors import InputError
 from bayeq.gram.gram import BLOCK_ROWS, SMALL, Gram, dense, grams_from_blocks, grams_from_data
 from bayeq.gram.products import add_products, block_for, shifted_products
-from bayeq.inference.posterior import Posterior
+from bayeq.inference.posterior import Constant, Details, Posterior
 from tests.draws import draws
 from tests.reference import centred
 
@@ -156,8 +156,9 @@ def test_standardise_and_restore():
     # least squares through the standardised Gram is least squares on the data
     theta = np.linalg.solve(standard.gram.DtD, standard.gram.Dty)
     raw = Posterior(
-        method="ols", names=gram.names, pip=np.ones(5), support=np.ones(5, dtype=bool), coef=theta,
-        covariance=np.linalg.inv(standard.gram.DtD), center=np.zeros(5), target_mean=0.0, noise_variance=1.0, n=len(y),
+        names=gram.names, pip=np.ones(5), support=np.ones(5, dtype=bool), coef=theta,
+        covariance=np.linalg.inv(standard.gram.DtD), constant=Constant(np.zeros(5)), noise_variance=1.0, n=len(y),
+        details=Details("ols"),
     )  # fmt: skip
     back = raw.rescaled(standard)
     design = np.column_stack([np.ones(len(y)), D])
@@ -245,8 +246,9 @@ def test_fractional_weights_equal_the_direct_formula():
     np.testing.assert_allclose(parts.DtD, gram.DtD, rtol=1e-10)
     assert (parts.n, parts.dof) == (pytest.approx(gram.n), pytest.approx(gram.dof))
     raw = Posterior(
-        method="ols", names=gram.names, pip=np.ones(5), support=np.ones(5, dtype=bool), coef=np.ones(5),
-        covariance=np.eye(5), center=np.zeros(5), target_mean=0.0, noise_variance=1.0, n=round(gram.dof) + 1,
+        names=gram.names, pip=np.ones(5), support=np.ones(5, dtype=bool), coef=np.ones(5),
+        covariance=np.eye(5), constant=Constant(np.zeros(5)), noise_variance=1.0, n=round(gram.dof) + 1,
+        details=Details("ols"),
     )  # fmt: skip
     assert raw.rescaled(gram.standardise()).n == gram.n
 

@@ -27,7 +27,7 @@ def found():
 
 def without(eq):
     """The equations as if nothing were known of what they leave out."""
-    p = replace(eq[0].shown_posterior, error_share=None, error_sd=None, error_lines=())
+    p = replace(eq[0].shown_posterior, projected=None)
     return replace(eq, equations=(eq[0].with_posterior(p),))
 
 
@@ -58,9 +58,9 @@ def test_lines_carry_equal_power():
 
 def test_forces_have_the_size_and_the_spectrum_of_what_is_left(found):
     lines = tuple((2.0 + 6.0 * (np.arange(LINES) + 0.5) / LINES).tolist())
-    posterior = replace(found[0].shown_posterior, error_sd=3.0, error_lines=lines)
+    own = replace(found[0].shown_posterior.projected, error_sd=3.0, error_lines=lines)
     time = 0.01 * np.arange(2000)
-    sines = drawn_sines(posterior, 2000, np.random.default_rng(1))
+    sines = drawn_sines(own, 2000, np.random.default_rng(1))
     drive = Drive.over(time, np.empty((2000, 0, 4)), *np.array([[-1.0], [1.0]]))
     forces = np.array([pushed(drive, time, [one]).inputs[:, 0, 0] for one in sines])
     # at any time, over the runs: six standard errors
@@ -78,7 +78,7 @@ def test_forces_have_the_size_and_the_spectrum_of_what_is_left(found):
 def test_bands_hold_the_motion_under_a_force_that_was_not_measured(found):
     # a tenth of the force, up to 15 Hz
     assert found.verdict.kind == "nearly true"
-    assert found[0].shown_posterior.error_sd == pytest.approx(2.0, rel=0.1)
+    assert found[0].shown_posterior.projected.error_sd == pytest.approx(2.0, rel=0.1)
     assert found[0].shown_posterior.error_lines[0] < 2.0
     assert 13.0 < found[0].shown_posterior.error_lines[-2] < 16.0
     shares, formerly = [], []

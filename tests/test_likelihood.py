@@ -64,7 +64,7 @@ def test_lorenz_with_a_fifth_of_noise(seed):
     eq = quietly(record, chains=names, dictionary="polynomial:2")
     assert [set(one.included) for one in eq] == [{"x", "y"}, {"x", "y", "x*z"}, {"z", "x*y"}]
     # with even prior odds a constant that is zero has a PIP above one half now and then
-    assert max(one.posterior.intercept_pip for one in eq) < 0.95
+    assert max(one.posterior.constant.pip for one in eq) < 0.95
     # no channel measures the targets; the equations are judged by their runs
     assert eq.verdict.kind == "found"
 
@@ -115,7 +115,7 @@ def test_the_constant_is_judged(tmp_path):
     record = bq.simulate("linear", n=500, seed=1)
     balanced = quietly(record, **AMONG_EIGHT, holdout=0.0)
     (without,) = balanced
-    assert without.posterior.intercept_pip < 0.5
+    assert without.posterior.constant.pip < 0.5
     assert not without.intercept_matters
     value, sd = without.intercept_estimate
     assert abs(value) < 4 * sd
@@ -123,7 +123,7 @@ def test_the_constant_is_judged(tmp_path):
     pushed = record.with_channels({"a": record["a"] + 0.0, "u": record["u"] - 20.0})
     loaded = quietly(pushed, **AMONG_EIGHT, holdout=0.0)
     (with_it,) = loaded
-    assert with_it.posterior.intercept_pip > 0.5
+    assert with_it.posterior.constant.pip > 0.5
     assert with_it.intercept_estimate[0] == pytest.approx(20.0, abs=4 * with_it.intercept_estimate[1])
     for one, eq in ((without, balanced), (with_it, loaded)):
         path = tmp_path / "eq.json"

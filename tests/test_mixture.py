@@ -140,7 +140,7 @@ def test_intervals_over_models_are_those_of_the_answer_where_models_are_certain(
     found, expected = equation.over_models.given_in[kept], equation.shown_ci95[kept]
     assert (np.abs(found - expected) < 0.3 * sd[kept][:, None]).all()
     assert not equation.printed_over_models.any()
-    if equation.shown_posterior.left_out_intercept is None:
+    if equation.shown_posterior.constant.left_out is None:
         within = 0.3 * equation.shown_posterior.intercept_sd
         np.testing.assert_allclose(equation.over_models.intercept, equation.intercept_ci95, atol=within)
     assert equation.printed_intercept_ci95 == equation.intercept_ci95
@@ -162,11 +162,11 @@ def test_the_intercept_knows_the_doubt_too():
 
 def test_without_models_or_draws_the_moments_make_a_normal_distribution(doubtful):
     fit, reported = doubtful[0].fit, doubtful[0].posterior
-    mixture = mixture_of(replace(fit, posterior=replace(fit.posterior, average=None, draws=None)), reported)
-    inside = reported.averaged_coef / reported.pip
+    mixture = mixture_of(replace(fit, posterior=replace(fit.posterior, average=None)), reported)
+    inside = reported.averaged.coef / reported.pip
     np.testing.assert_allclose(mixture.given_in()[:3].mean(axis=1), inside, rtol=1e-6)
     square = reported.pip * (mixture.mean[:3, 0] ** 2 + mixture.sd[:3, 0] ** 2)
-    np.testing.assert_allclose(np.sqrt(square - reported.averaged_coef**2), reported.averaged_sd, rtol=1e-6)
+    np.testing.assert_allclose(np.sqrt(square - reported.averaged.coef**2), reported.averaged.sd, rtol=1e-6)
 
 
 def test_refined_coefficients_have_intervals_of_their_own(tmp_path):
@@ -192,8 +192,8 @@ def test_averaged_intervals_hold_zero_where_the_term_may_be_out(doubtful):
     undecided = (p.pip > 0.05) & (p.pip < 0.95)
     assert undecided.any()
     assert ((averaged[undecided, 0] <= 0.0) & (averaged[undecided, 1] >= 0.0)).all()
-    spread = 3.0 * p.averaged_sd
-    assert (np.abs(averaged - p.averaged_coef[:, None]).max(axis=1) <= spread + 1e-12).all()
+    spread = 3.0 * p.averaged.sd
+    assert (np.abs(averaged - p.averaged.coef[:, None]).max(axis=1) <= spread + 1e-12).all()
 
 
 def test_draws_of_a_sampler_give_the_same_intervals(doubtful):

@@ -17,7 +17,7 @@ from bayeq.equation.physical import physical_parameters, system_parameters
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.expressions import parse
 from bayeq.forecast.dynamics import Law
-from bayeq.inference.posterior import Posterior
+from bayeq.inference.posterior import Constant, Details, Posterior
 from bayeq.states import parse_chain
 from tests.draws import draws
 
@@ -34,8 +34,9 @@ def posterior(coef, relative=1e-3, correlation=0.0, names=None):
     sd = relative * np.abs(mean)
     covariance = np.outer(sd, sd) * (correlation + (1 - correlation) * np.eye(len(mean)))
     return Posterior(
-        method="vb", names=names, pip=np.ones(len(mean)), support=np.ones(len(mean), dtype=bool), coef=mean,
-        covariance=covariance, center=np.zeros(len(mean)), target_mean=0.0, noise_variance=1.0, n=100.0,
+        names=names, pip=np.ones(len(mean)), support=np.ones(len(mean), dtype=bool), coef=mean,
+        covariance=covariance, constant=Constant(np.zeros(len(mean))), noise_variance=1.0, n=100.0,
+        details=Details("vb"),
     )  # fmt: skip
 
 
@@ -73,7 +74,7 @@ def test_about_the_position_of_rest_parameters_are_those_of_motion_from_there(x0
     law = Law(
         parse_chain("x:v:a"),
         [parse(name) for name in coef],
-        replace(posterior(coef, 1e-9), target_mean=float(spring.coef[0]), n=1e30),
+        replace(posterior(coef, 1e-9), constant=Constant(np.zeros(5), float(spring.coef[0])), n=1e30),
     )
     found = physical_parameters(law, (), {"x": "m"}, span=(x0 - 0.1, x0 + 0.12))
     expected = {"k/m": k, "k2/m": k2, "k3/m": k3, "c/m": c, "x0": x0, "omega_n": math.sqrt(k)}

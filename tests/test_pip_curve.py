@@ -140,12 +140,12 @@ def test_the_prior_used_gives_the_pips_of_the_equation(record, equation, varied)
             np.testing.assert_array_equal(curve.pip[curve.current], one.posterior.pip)
             assert curve.names == tuple(term.text for term in one.terms)
         v_s, p_0 = found
-        assert v_s.values[v_s.current] == one.posterior.slab_variance
+        assert v_s.values[v_s.current] == one.posterior.details.slab_variance
         assert p_0.values[p_0.current] == 0.1
 
 
 def test_the_defaults_are_nine_values_of_v_s_and_seven_of_p_0(equation, varied):
-    v_s = equation.posterior.slab_variance
+    v_s = equation.posterior.details.slab_variance
     np.testing.assert_allclose(varied.slab_variance.values / v_s, 10.0 ** np.arange(-2.0, 2.1, 0.5), rtol=1e-12)
     np.testing.assert_array_equal(varied.prior_inclusion.values, [0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5])
     _, _, gram = problem(0, P=3)
@@ -251,7 +251,7 @@ def test_table_and_changes_say_the_same(equation, varied):
     assert table.term.tolist() == 15 * list(varied.slab_variance.names)
     names, v_s, p_0 = varied.slab_variance.names, varied.slab_variance, varied.prior_inclusion
     for row in table[table.term == "x**5"].itertuples():
-        other = row.slab_variance != equation.posterior.slab_variance
+        other = row.slab_variance != equation.posterior.details.slab_variance
         curve, value = (v_s, row.slab_variance) if other else (p_0, row.prior_inclusion)
         assert row.pip == curve.pip[list(curve.values).index(value), names.index("x**5")]
     spans = table.groupby("term").pip.agg(["min", "max"])
@@ -280,7 +280,7 @@ def test_what_the_readme_says_of_the_demo(record):
     true = table.term.isin(["x", "v", "x**3", "u"])
     assert table[true].pip.min() > 0.5
     others = table[(table.pip > 0.5) & ~true]
-    assert (others.slab_variance < 0.034 * equation.posterior.slab_variance).all()
+    assert (others.slab_variance < 0.034 * equation.posterior.details.slab_variance).all()
 
 
 def made(pip, left_out, current=0):

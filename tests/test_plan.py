@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 import bayeq as bq
 from bayeq.errors import DataWarning, InputError
 from bayeq.expressions import Evaluator, parse
-from bayeq.inference.posterior import Posterior
+from bayeq.inference.posterior import Constant, Details, Posterior
 from bayeq.plan.designs import EXCITATIONS, Measured, conditions_of
 from bayeq.plan.information import CandidateModel, coefficient_gain, seconds_to_halve, seconds_until, unexplained
 from bayeq.plan.plan import plan_excitation
@@ -59,8 +59,9 @@ class Given:
     def shown_posterior(self):
         p = len(self.names)
         blank = Posterior(
-            method="bma", names=self.names, pip=np.zeros(p), support=np.zeros(p, dtype=np.bool_), coef=np.zeros(p),
-            covariance=np.zeros((0, 0)), center=np.zeros(p), target_mean=0.0, noise_variance=1.0, n=100,
+            names=self.names, pip=np.zeros(p), support=np.zeros(p, dtype=np.bool_), coef=np.zeros(p),
+            covariance=np.zeros((0, 0)), constant=Constant(np.zeros(p)), noise_variance=1.0, n=100,
+            details=Details("bma"),
         )  # fmt: skip
         found = self.models[0].posterior(blank)
         return found if self.covariance is None else replace(found, covariance=self.covariance)

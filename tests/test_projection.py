@@ -118,7 +118,7 @@ def test_a_force_that_nobody_measured(tmp_path, number):
     eq.save(tmp_path / "eq.json")
     (again,) = bq.load(tmp_path / "eq.json")
     np.testing.assert_allclose(again.shown_ci95, one.shown_ci95, rtol=1e-12)
-    np.testing.assert_allclose(again.shown_posterior.likelihood_coef, one.shown_posterior.likelihood_coef)
+    np.testing.assert_allclose(again.shown_posterior.projected.coef, one.shown_posterior.projected.coef)
     assert again.error_share == one.error_share
 
 

@@ -62,7 +62,7 @@ def test_levels_and_corners_are_those_of_all_rows(record, whole, monkeypatch):
     p, other = equation.posterior, whole[1].posterior
     assert equation.shown == whole[1].shown
     kept = p.support
-    assert (np.abs(p.likelihood_coef - other.likelihood_coef)[kept] < 0.1 * other.sd[kept]).all()
+    assert (np.abs(p.projected.coef - other.projected.coef)[kept] < 0.1 * other.sd[kept]).all()
     # by projection what is smoothed of a discrepancy that is next to nothing moves them too
     assert (np.abs(p.coef - other.coef)[kept] < 0.2 * other.sd[kept]).all()
 

@@ -68,7 +68,7 @@ def test_the_likeliest_of_a_group_is_shown_though_none_is_included():
     assert one.why == {likeliest: "undecided"}
     # without it the equation does not predict what the average of all models does; with it, nearly
     D = np.column_stack([evaluate_terms(one.terms, rec.channels)])
-    mean = D @ one.posterior.averaged_coef
+    mean = D @ one.posterior.averaged.coef
     without, shown = (D @ p.coef for p in (one.posterior, one.shown_posterior))
     assert np.std(without - mean) > 0.01 * np.std(rec["xdot"])
     assert np.std(shown - mean) < np.std(without - mean)

@@ -149,7 +149,7 @@ def test_calibration_is_added_to_what_the_record_leaves():
     # the equation holds on the smoothed rows but for what noise leaves
     assert after.sd == pytest.approx(np.sqrt(before.sd**2 + added**2), rel=0.05)
     assert given[0].shown_posterior.sd == pytest.approx(after.sd)
-    assert (after.averaged_sd >= before.averaged_sd).all()
+    assert (after.averaged.sd >= before.averaged.sd).all()
     assert "intervals include the calibration: x 1 %, u 0.5 %" in str(given)
 
 

@@ -107,8 +107,8 @@ def test_signs_against_draws_of_every_model(seed):
     for most in (14, 0):
         fit = spike_slab_bma(Gram.from_data(D, y), prior, enumerate_up_to=most, tolerance=1e-4)
         np.testing.assert_allclose(fit.pip, pip, atol=5e-3)
-        np.testing.assert_allclose(fit.averaged_coef, mean, atol=0.02 * scale)
-        np.testing.assert_allclose(fit.averaged_sd, np.sqrt(np.diagonal(covariance)), atol=0.02 * scale)
+        np.testing.assert_allclose(fit.averaged.coef, mean, atol=0.02 * scale)
+        np.testing.assert_allclose(fit.averaged.sd, np.sqrt(np.diagonal(covariance)), atol=0.02 * scale)
         listed = np.ix_(fit.average.terms, fit.average.terms)
         np.testing.assert_allclose(fit.average.covariance, covariance[listed], atol=0.03 * scale**2)
         assert fit.noise_variance == pytest.approx(noise, rel=0.01)
@@ -147,7 +147,7 @@ def test_the_mass_moves_to_models_that_are_hopeless_without_the_sign(seed):
     y -= y.mean()
     signs = np.array([1, 0, 0, -1, 0, 0, 0, 0])
     fit, free = (spike_slab_bma(Gram.from_data(D, y), Prior(signs=s), enumerate_up_to=0) for s in (signs, None))
-    assert "x0" in fit.contradicted
+    assert "x0" in fit.details.contradicted
     assert not (free.average.models == fit.average.models[0]).all(axis=1).any()
     assert_as_enumerated(D, y, signs, fit)
 
@@ -170,9 +170,9 @@ def test_signs_that_the_data_leave_no_doubt_of_change_nothing():
     np.testing.assert_allclose(known.pip, free.pip, atol=1e-12)
     assert known.coef.tobytes() == free.coef.tobytes()
     assert known.covariance.tobytes() == free.covariance.tobytes()
-    np.testing.assert_allclose(known.averaged_sd, free.averaged_sd, rtol=1e-9)
+    np.testing.assert_allclose(known.averaged.sd, free.averaged.sd, rtol=1e-9)
     assert known.noise_variance == pytest.approx(free.noise_variance, rel=1e-9)
-    assert known.contradicted == ()
+    assert known.details.contradicted == ()
     assert spike_slab_bma(gram, Prior(signs=np.zeros(6))).pip.tobytes() == free.pip.tobytes()
 
 
@@ -201,7 +201,7 @@ def test_a_sign_that_the_data_contradict_takes_the_term_out(P):
     wrong = spike_slab_bma(gram, Prior(signs=signs), tolerance=1e-4)
     signs[0] = 0
     without = spike_slab_bma(gram, Prior(prior_inclusion=p0, signs=signs), tolerance=1e-4)
-    assert (wrong.contradicted, without.contradicted) == (("x0",), ())
+    assert (wrong.details.contradicted, without.details.contradicted) == (("x0",), ())
     assert wrong.pip[0] < 1e-3
     np.testing.assert_allclose(wrong.pip, without.pip, atol=2e-3)
     np.testing.assert_allclose(wrong.coef, without.coef, rtol=1e-6)
@@ -240,7 +240,7 @@ def test_degenerate_problems_end():
         fit = spike_slab_bma(Gram.from_data(design, y), Prior(signs=signs))
         assert np.isfinite(fit.pip).all()
         assert np.isfinite(fit.covariance).all()
-        assert np.isfinite(fit.averaged_sd).all()
+        assert np.isfinite(fit.averaged.sd).all()
         assert (fit.coef * signs >= 0).all()
         np.testing.assert_array_equal(fit.support, fit.pip > 0.5)
 
@@ -256,7 +256,7 @@ def test_turned_columns_and_their_order_are_symmetries():
     np.testing.assert_allclose(turned.coef, -plain.coef, atol=1e-9)
     np.testing.assert_allclose(mixed.pip, plain.pip[order], atol=3e-3)
     again = spike_slab_bma(Gram.from_data(D, y), Prior(signs=signs))
-    assert again.averaged_sd.tobytes() == plain.averaged_sd.tobytes()
+    assert again.averaged.sd.tobytes() == plain.averaged.sd.tobytes()
 
 
 def test_draws_of_the_average_have_its_moments():
@@ -269,9 +269,9 @@ def test_draws_of_the_average_have_its_moments():
     np.testing.assert_array_equal(theta != 0, fit.average.models[which])
     # five standard errors of independent draws
     np.testing.assert_allclose(
-        theta.mean(axis=0), fit.averaged_coef, atol=5 * fit.averaged_sd.max() / math.sqrt(20_000)
+        theta.mean(axis=0), fit.averaged.coef, atol=5 * fit.averaged.sd.max() / math.sqrt(20_000)
     )
-    np.testing.assert_allclose(theta.std(axis=0), fit.averaged_sd, atol=0.05 * fit.averaged_sd.max())
+    np.testing.assert_allclose(theta.std(axis=0), fit.averaged.sd, atol=0.05 * fit.averaged.sd.max())
     assert noise.mean() == pytest.approx(fit.noise_variance, rel=0.02)
 
 
@@ -296,7 +296,8 @@ def test_auto_with_signs_is_model_averaging_alone():
     prior = Prior(signs=signs)
     with overridden(INFERENCE, most_left_out=-1.0):  # the sampler is not an alternative
         auto, bma = spike_slab_auto(gram, prior), spike_slab_bma(gram, prior)
-    assert (auto.method, auto.elbo, auto.optimum, len(auto.elbo_trace)) == ("auto", None, None, 0)
+    details = auto.details
+    assert (details.method, details.elbo, details.optimum, len(details.elbo_trace)) == ("auto", None, None, 0)
     np.testing.assert_array_equal(auto.pip, bma.pip)
     np.testing.assert_array_equal(auto.covariance, bma.covariance)
 

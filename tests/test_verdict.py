@@ -178,7 +178,7 @@ def test_an_engine_that_did_not_converge_finds_nothing(monkeypatch):
     eq = quietly(
         bq.simulate("duffing", n=1000, seed=1), **OSCILLATOR, dictionary=["x", "v", "x**3", "u"], method="gibbs"
     )
-    assert not eq[0].posterior.converged
+    assert not eq[0].posterior.details.converged
     assert eq.verdict.kind == "not determined"
     assert "did not converge" in eq.verdict.reason
     assert eq.verdict.advice == "give fewer candidate terms, or compare with another method"

@@ -12,7 +12,7 @@ from bayeq.dictionary import Family, Variables
 from bayeq.errors import FileFormatError
 from bayeq.gram.gram import GramLike, dense
 from bayeq.inference.engines import Engine
-from bayeq.inference.posterior import Posterior
+from bayeq.inference.posterior import Constant, Details, Posterior
 from bayeq.inference.prior import Prior
 from bayeq.records.columns import Columns, Headers, Names, Select
 from bayeq.records.formats import Format
@@ -44,16 +44,15 @@ def forward(gram: GramLike, prior: Prior | None = None) -> Posterior:
     coef = np.zeros(len(Dty))
     coef[support] = np.linalg.solve(information, Dty[support])
     return Posterior(
-        method="forward",
         names=gram.names,
         pip=support.astype(float),
         support=support,
         coef=coef,
         covariance=noise * np.linalg.inv(information),
-        center=np.zeros(len(Dty)),
-        target_mean=0.0,
+        constant=Constant(np.zeros(len(Dty))),
         noise_variance=noise,
         n=round(n) + 1,
+        details=Details("forward"),
     )
 
 

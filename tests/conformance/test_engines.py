@@ -45,7 +45,7 @@ def test_shapes_ranges_and_consistency(name, seed):
     assert np.all(np.linalg.eigvalsh(fit.covariance) > 0) if r else True
     assert fit.noise_variance > 0
     assert fit.n == len(y)
-    assert fit.converged or fit.rhat is not None
+    assert fit.details.converged or fit.details.rhat is not None
 
 
 def test_finds_a_clear_law(name):

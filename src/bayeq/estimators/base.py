@@ -6,6 +6,7 @@ import math
 import warnings
 from dataclasses import dataclass
 from numbers import Real
+from operator import attrgetter
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -171,8 +172,8 @@ class SparseRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         return self._fitted(grams, several)
 
     def _read(self, field: str, listed: bool = False) -> Any:
-        """A field of the posterior; of those of several targets stacked, or as a list."""
-        values = [getattr(posterior, field) for posterior in self.posteriors_]
+        """A field of the posterior, or of a part of it; of those of several targets stacked, or as a list."""
+        values = list(map(attrgetter(field), self.posteriors_))
         return values[0] if not self._several else values if listed else np.array(values)
 
     def _keep(self, grams: tuple[Gram | LazyGram, ...]) -> None:

@@ -108,8 +108,8 @@ class SpikeSlabVB(SpikeSlabRegressor):
 
     def _keep(self, grams: tuple[Gram | LazyGram, ...]) -> None:
         super()._keep(grams)
-        self.elbo_ = self._read("elbo")
-        self.elbo_trace_ = self._read("elbo_trace", listed=True)
+        self.elbo_ = self._read("details.elbo")
+        self.elbo_trace_ = self._read("details.elbo_trace", listed=True)
 
 
 @dataclass(eq=False, repr=False)
@@ -165,8 +165,8 @@ class SpikeSlabGibbs(SpikeSlabRegressor):
 
     def _keep(self, grams: tuple[Gram | LazyGram, ...]) -> None:
         super()._keep(grams)
-        self.averaged_coef_, self.averaged_sd_ = map(self._read, ("averaged_coef", "averaged_sd"))
-        self.rhat_ = self._read("rhat")
+        self.averaged_coef_, self.averaged_sd_ = map(self._read, ("averaged.coef", "averaged.sd"))
+        self.rhat_ = self._read("details.rhat")
         self.draws_ = self._read("draws", listed=True)
 
     def to_arviz(
@@ -274,7 +274,7 @@ class SpikeSlabBMA(SpikeSlabRegressor):
 
     def _keep(self, grams: tuple[Gram | LazyGram, ...]) -> None:
         super()._keep(grams)
-        self.averaged_coef_, self.averaged_sd_ = map(self._read, ("averaged_coef", "averaged_sd"))
+        self.averaged_coef_, self.averaged_sd_ = map(self._read, ("averaged.coef", "averaged.sd"))
         self.average_ = self._read("average", listed=True)
         # what `sample` draws from: parameters may be set again, and arrays written to, before the next fit
         prior = self._prior()

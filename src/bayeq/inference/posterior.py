@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,6 +15,29 @@ from bayeq.arrays import Bools, Floats
 from bayeq.errors import InputError
 from bayeq.gram import Standardised
 from bayeq.kernels import kernel
+
+# Where fields of version 0.2 stand; their names go in 0.5.
+MOVED = {
+    **{
+        name: f"details.{name}"
+        for name in (
+            *("method", "n_iter", "converged", "slab_variance", "bounds", "contradicted"),
+            *("elbo", "elbo_trace", "optimum", "rhat"),
+        )
+    },
+    "center": "constant.center",
+    "target_mean": "constant.mean",
+    "target_mean_variance": "constant.variance",
+    "intercept_pip": "constant.pip",
+    "left_out_intercept": "constant.left_out",
+    "averaged_coef": "averaged.coef",
+    "averaged_sd": "averaged.sd",
+    "likelihood_coef": "projected.coef",
+    "likelihood_sd": "projected.sd",
+    "freedom": "projected.freedom",
+    "error_share": "projected.error_share",
+    "error_sd": "projected.error_sd",
+}
 
 # Coefficients between these have squares: variances.
 SMALLEST, LARGEST = 1e-150, 1e150
@@ -313,6 +338,16 @@ class Posterior:
         c = known.center[self.support]
         mean = self.noise_variance / self.n if known.variance is None else known.variance
         return float(np.sqrt(mean + c @ self.covariance @ c))
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            """A field of version 0.2 that stands elsewhere now, with a DeprecationWarning."""
+            if name not in MOVED:
+                raise AttributeError(f"'Posterior' object has no attribute {name!r}")
+            part, place = MOVED[name].split(".")
+            warnings.warn(f"posterior.{name} is posterior.{part}.{place} now", DeprecationWarning, stacklevel=2)
+            return getattr(getattr(self, part), place, None)
 
     def rescaled(self, standard: Standardised) -> Posterior:
         """The posterior of a standardised regression in original units: theta_i = s_y theta_i^s / s_i.
