@@ -305,7 +305,7 @@ def question_of(
         dictionary = terms_of(dictionary, variables.names)
     terms, allowed, roles = with_law_terms(*dictionaries_of(dictionary, roles, variables), roles)
     known = (constraints,) if isinstance(constraints, str) else tuple(constraints)
-    parse_ties(known, terms, roles.targets)
+    parse_ties(known, terms, roles.targets, allowed=allowed)
     # what is wrong is said before the work
     check_scales(roles, terms, allowed, parse_constraints(known, terms, roles.targets, allowed=allowed))
     if conserve:

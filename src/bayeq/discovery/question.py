@@ -166,6 +166,7 @@ class Question:
 
         step("likelihood", 0, 1)
         record, tied, known = self._record(design, constrained, known, log, others)
+        constrained = _constrained(known, design, self.method)
         if (tied or any(one.stated for one in constrained)) and (record is None or whole is not None):
             raise InputError(
                 "constraints: ~, ties between equations and conserved sums are taken by the likelihood of the record in"
@@ -266,28 +267,30 @@ class Question:
     ) -> tuple[RecordFit | None, bool, tuple[str, ...]]:
         """The likelihood of the records, whether ties between equations were asked for, and what is known that holds.
 
-        It is compared with that without them, which is taken where the record contradicts them.
+        It is compared with that without ties, in an equation too, which is taken where the record contradicts them.
         """
-        ties = parse_ties(known, design.terms, design.motion.roles.targets)
-        asked = partial(self._likelihood, design, constraints=constrained, others=other_designs(design, others))
+        dropped = {term.name: term.reason for term in design.dropped}
+        ties = parse_ties(known, design.terms, design.motion.roles.targets, dropped, design.allowed)
+        asked = partial(self._likelihood, design, others=other_designs(design, others))
         if self.conserved:
             warn_of_changes(self.conserve, self.conserved, design.motion, log)
-            return asked(conserved=self.conserved), True, tuple(known)
+            return asked(constraints=constrained, conserved=self.conserved), True, tuple(known)
         warn_of_sums(design, log)
-        free = asked()
-        if not ties or free is None:
+        refused = [text for text in known if "==" in text]
+        left = tuple(text for text in known if text not in refused)
+        free = asked(constraints=_constrained(left, design, self.method) if refused else constrained)
+        if not refused or free is None:
             return free, bool(ties), tuple(known)
-        record = asked(ties=[Stated(parts, value, 0.0) for _, parts, value in ties])
+        record = asked(constraints=constrained, ties=[Stated(parts, value, 0.0) for _, parts, value in ties])
         lost = math.inf if record is None else free.of_motion - record.of_motion
         if lost < CONTRADICTED:
-            return record, True, tuple(known)
-        refused = [text for text, _, _ in ties]
+            return record, bool(ties), tuple(known)
         log.warn(
             f"the record contradicts {some_of(refused, 40, '; ')} (odds {odds_text(-lost)}): shown without;"
             " check factors",
             DataWarning,
         )
-        return free, True, tuple(one for one in known if one not in refused)
+        return free, bool(ties), left
 
     def _by_record(self, records: Sequence[Record], whole: Whole | None) -> tuple[Question, list[Record]]:
         """The question with a candidate difference of each coefficient that may differ, and numbered records."""

@@ -261,15 +261,19 @@ def _among(
 
 
 def parse_ties(
-    texts: str | Sequence[str], terms: Sequence[Expression], targets: Sequence[str]
+    texts: str | Sequence[str],
+    terms: Sequence[Expression],
+    targets: Sequence[str],
+    dropped: Mapping[str, str] | None = None,
+    allowed: Bools | None = None,
 ) -> tuple[tuple[str, tuple[tuple[int, int, float], ...], float], ...]:
     """Read ties between the coefficients of several equations, ``"a1: x1-x2 == 2*(a2: x2-x1)"``.
 
     Of each the text; equation, term and factor of each coefficient; and what their sum is. An InputError refuses
-    malformed text, or a term that is not a candidate.
+    malformed text, or a term that is not a candidate; `dropped` and `allowed` as of `parse_constraints`.
     """
-    texts = [texts] if isinstance(texts, str) else list(texts)
-    reader, out = _Reader(terms, {}), []
+    texts, names = [texts] if isinstance(texts, str) else list(texts), [term.text for term in terms]
+    reader, out = _Reader(terms, dropped or {}), []
     for text in filter(_is_tie, texts):
         where = f"constraint {text if len(text) <= 60 else text[:57] + '...'!r}"
         sides = text.split("==")
@@ -282,6 +286,7 @@ def parse_ties(
             if target not in targets:
                 raise UnknownNameError("equation", target, targets, where=where)
             linear = reader.read(body, where).times(sign * factor)
+            _among(allowed, targets, target, linear.slopes, names, where)
             parts += [(list(targets).index(target), j, slope) for j, slope in linear.slopes.items()]
             total -= linear.constant
         if len(parts) < 2:
@@ -427,6 +432,9 @@ class _Reader:
         if isinstance(node, Negate):
             return self._linear(node.operand, where).times(-1.0)
         if isinstance(node, Binary) and node.op in "+-":
+            j = self.trees.get(Binary("-", node.right, node.left)) if node.op == "-" else None
+            if j is not None:
+                return self._term(j, -1.0, where)
             right = self._linear(node.right, where)
             return self._linear(node.left, where).plus(right, 1.0 if node.op == "+" else -1.0)
         if isinstance(node, Unknown):

@@ -57,8 +57,8 @@ def record_of(
 ) -> RecordFit | None:
     """The likelihood of the records of a design; None where it is not used, or cannot be evaluated.
 
-    Of constraints it takes what is stated of coefficients, and which terms are in for their bounds; `ties` are between
-    those of several equations, `others` the design at other starts of hidden states.
+    Of constraints it takes what is stated of coefficients, equalities between them, and which terms are in for their
+    bounds; `ties` are between those of several equations, `others` the design at other starts of hidden states.
     """
     if smooth != "auto" or not design.motion.smoothed:
         return None
@@ -70,6 +70,12 @@ def record_of(
         odds[:-1][own.forced & (odds[:-1] > -np.inf)] = np.inf
     starts = [(one.motion, one.terms, one.train) for one in others]
     stated += ties
+    for c, own in enumerate(constraints):
+        known = own.equalities
+        for e, row, value in zip(known.eliminated, known.slopes, known.offsets, strict=True):
+            parts = [(c, int(e), 1.0), *((c, int(known.kept[k]), -row[k]) for k in np.flatnonzero(row))]
+            parts = [one for one in parts if design.allowed[c, one[1]]]
+            stated += [Stated(tuple(parts), float(value), 0.0)] if parts else []
     return fit_record(design.motion, design.terms, log_odds, design.train, tolerance, tuple(stated), conserved, starts)
 
 
