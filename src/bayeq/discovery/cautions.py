@@ -97,15 +97,12 @@ PARTS, CHANCE, MATTERS = 10, 1e-6, 0.05
 MOST_SUMMED, STILL = 6, 0.3
 
 
-def warn_of_changes(conserve: str, weights: Mapping[int, float], motion: Motion, log: WarningLog) -> None:
-    """Say where the samples of a sum, its weights by the number of the equation, contradict that it does not change."""
+def change_of(conserve: str, weights: Mapping[int, float], motion: Motion) -> str | None:
+    """What to say where the samples of a sum, its weights by the number of the equation, contradict that it stays."""
     found = _change(weights, motion)
-    if found is not None and found.chance < CHANCE and found.slow > MATTERS * found.largest:
-        log.warn(
-            f"the record contradicts that {conserve} does not change: it varies with a sd of {found.slow:.3g};"
-            " check units",
-            DataWarning,
-        )
+    if found is None or found.chance >= CHANCE or found.slow <= MATTERS * found.largest:
+        return None
+    return f"the record contradicts that {conserve} does not change (sd {found.slow:.3g}): shown without; check units"
 
 
 def warn_of_sums(design: Design, log: WarningLog) -> None:

@@ -227,6 +227,7 @@ def discover(
     try:
         question = question_of(**asked)
     except InputError as error:
+        _require_channels(records, asked)
         advice = _advice(error, records, asked)
         if not advice:
             raise
@@ -234,6 +235,19 @@ def discover(
     answer, log = _answer(question, records, t, stream, client, checkpoint)
     log.emit(stacklevel=3)
     return answer
+
+
+def _require_channels(records: Any, asked: Mapping[str, Any]) -> None:
+    """Refuse a channel that is not in the records, before what follows from its name."""
+    names = ("chains", "displacement", "velocity", "acceleration", "force", "inputs", "target", "discrete")
+    try:
+        channels = Roles.parse(*(asked[name] for name in names)).channels
+    except InputError:  # said already
+        return
+    for record in records if isinstance(records, list | tuple) else [records]:
+        missing = [name for name in channels if isinstance(record, Record) and name not in record.channels]
+        if missing:
+            raise UnknownNameError("channel", missing[0], record.names, where=record.name)
 
 
 def _advice(error: InputError, records: Any, asked: Mapping[str, Any]) -> str:

@@ -75,6 +75,10 @@ def with_law_terms(
         if chain.names[0] not in used:
             raise InputError(f"law: no term uses {chain.names[0]}: name it in the dictionary")
     for law in laws:
+        if not law.names:
+            raise InputError(
+                f"law {law}: the rate of a hidden state depends on states or inputs: name one, as in 'u - f'"
+            )
         if len(law.unknowns) > MOST_UNKNOWN:
             raise InputError(f"law {law}: at most {MOST_UNKNOWN} constants; write numbers, or two laws")
     written = with_ranges([*terms, *laws])

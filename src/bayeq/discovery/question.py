@@ -12,8 +12,8 @@ import numpy as np
 from bayeq.arrays import Bools
 from bayeq.dictionary import Specification, of_equations, written
 from bayeq.discovery.cautions import (
+    change_of,
     warn_of_blows,
-    warn_of_changes,
     warn_of_other_terms,
     warn_of_sensors,
     warn_of_sums,
@@ -153,6 +153,9 @@ class Question:
         _require_unambiguous(self.terms, measured, self.roles)
         step("states", 0, 1)
         motion, pieces = self._motion(measured, log, whole)
+        changing = change_of(self.conserve, self.conserved, motion) if self.conserved else None
+        if changing is not None:
+            return replace(self, conserve="", conserved={}).answer(records, whole, changing)
         before = len(log.collected)
         units = _units(pieces, motion.roles, log)
         terms, known = _in_radians(self.terms, self.known, units, log)
@@ -273,7 +276,6 @@ class Question:
         ties = parse_ties(known, design.terms, design.motion.roles.targets, dropped, design.allowed)
         asked = partial(self._likelihood, design, others=other_designs(design, others))
         if self.conserved:
-            warn_of_changes(self.conserve, self.conserved, design.motion, log)
             return asked(constraints=constrained, conserved=self.conserved), True, tuple(known)
         warn_of_sums(design, log)
         refused = [text for text in known if "==" in text]

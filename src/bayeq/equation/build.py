@@ -274,11 +274,12 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
             f"{target}: whether the law is exact or only nearly true is not known: measure longer",
             ConvergenceWarning,
         )
+    own = posterior.coef if posterior.projected is None else posterior.projected.coef
     for j, mean, sd in selection.fit.constraints.stated:
-        if abs(posterior.coef[j] - mean) > CONTRADICTED * sd:
+        if abs(own[j] - mean) > CONTRADICTED * sd:
             log.warn(
                 f"{target}: the record contradicts {posterior.names[j]} ~ {mean:.4g} +- {sd:.3g}: it is"
-                f" {posterior.coef[j]:.4g}; check both, or drop that",
+                f" {own[j]:.4g}; check both, or drop that",
                 DataWarning,
             )
     beyond = selection.fit.beyond_bounds(CONTRADICTED)

@@ -71,7 +71,7 @@ class Constraints:
         return np.where(bounded, self.limits, [-np.inf, np.inf]) if (bounded & np.isfinite(self.limits)).any() else None
 
     def among(self, allowed: NDArray[np.bool_]) -> Constraints:
-        """The same with the coefficients of terms that are not `allowed`, (P,), zero.
+        """The same with the coefficients of terms that are not `allowed`, (P,), zero; what ties these alone is no part.
 
         An InputError says that what is known contradicts that, or that no term is left.
         """
@@ -81,6 +81,7 @@ class Constraints:
         equations = [
             (Linear({int(e): 1.0, **{int(known.kept[j]): -row[j] for j in np.flatnonzero(row)}}, -value), "constraints")
             for e, row, value in zip(known.eliminated, known.slopes, known.offsets, strict=True)
+            if allowed[e] or allowed[known.kept[row != 0.0]].any()
         ]
         names = known.names
         equations += [(Linear({int(j): 1.0}, 0.0), f"term {names[j]}") for j in np.flatnonzero(~allowed)]

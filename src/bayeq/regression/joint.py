@@ -109,7 +109,11 @@ def _log_odds(design: Design, dictionary: Specification, prior: Prior | None) ->
 def _ones(design: Design) -> list[tuple[int, int]]:
     """Equations, and the term of each, whose coefficient is 1: stated laws, and hidden states for their scale."""
     roles = design.motion.roles
-    laws = [(c, int(np.flatnonzero(design.allowed[c])[0])) for c, chain in enumerate(roles.chains) if chain.stated]
+    stated = [(c, np.flatnonzero(design.allowed[c]), chain.law) for c, chain in enumerate(roles.chains) if chain.stated]
+    for _, own, law in stated:
+        if not len(own):
+            raise InputError(f"law {law}: it does not change on the data: name a state or an input that does")
+    laws = [(c, int(own[0])) for c, own, _ in stated]
     found = [chain for chain in roles.hidden if not chain.stated]
     seen = [one for chain in found for one in seen_in(chain, roles, design.terms, design.allowed)]
     return [*laws, *((one.equation, one.term) for one in seen if one.scaled)]
