@@ -49,7 +49,7 @@ _TOKEN = re.compile(
     rf"(?P<number>{_NUMBER})|(?P<name>{_NAME}(?:{_BEFORE})?)|(?P<unknown>{_BRACES})|(?P<mark>\*\*|[<>=!]=|[-+*/^()<>,])"
 )
 _SIGNED = r"[-+]?(?:[0-9]+(?:\.(?!\.)[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
-_ENDS = rf"(?P<low>{_SIGNED})\s*\.\.\s*(?P<high>{_SIGNED})"
+_ENDS = rf"(?P<low>{_SIGNED})\s*\.\.(?!\.)\s*(?P<high>{_SIGNED})"
 _UNKNOWN = re.compile(rf"\{{\s*(?P<name>{_NAME})\s*(?::\s*{_ENDS}\s*)?\}}")
 
 #: An earlier sample of a channel, as ``x[-1]``, by `name` and `back`.

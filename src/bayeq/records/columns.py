@@ -6,6 +6,7 @@ are asked for.
 
 from __future__ import annotations
 
+import math
 import re
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -145,6 +146,7 @@ class Columns:
     time: int | None = None  # the column that is time, where something other than its name says so
     step: float | None = None  # time step [s] that the file states
     start: float = 0.0  # time of the first row [s], where `step` is given
+    begins: float | None = None  # what a clock with dates showed at time 0 [s]
 
     @property
     def names(self) -> list[str]:
@@ -155,7 +157,7 @@ class Columns:
     def build(cls, headers: Headers, values: Callable[[int], Any], chosen: Select | None = None) -> Columns:
         """Take the chosen columns; `values(i)` gives the samples of column i, of any numeric type."""
         rows = list(chosen(headers)) if chosen else list(range(len(headers)))
-        arrays = []
+        arrays, begins = [], None
         kept = headers.at(rows)
         for place, i in enumerate(rows):
             raw = np.asanyarray(values(i))
@@ -163,6 +165,8 @@ class Columns:
             try:
                 if raw.dtype.kind in "mM":
                     arrays.append(as_time(raw, headers.where))
+                    if raw.dtype.kind == "M" and raw.size:
+                        begins = float(raw[0].astype("datetime64[us]").astype(np.int64)) * 1e-6
                     kept.units[place] = "s"
                 else:
                     arrays.append(as_column(raw, what, headers.where))
@@ -172,7 +176,7 @@ class Columns:
                 others = [headers.names[j] for j in rows if j != i]
                 hint = "; name the columns to read if this one is not needed"
                 raise WordsError(f"{error}{hint}", headers.names[i], others) from None
-        return cls(kept, arrays, tuple(headers.clashes(rows)))
+        return cls(kept, arrays, tuple(headers.clashes(rows)), begins=begins)
 
     @classmethod
     def from_dataframe(cls, df: pd.DataFrame, request: Request) -> Columns:
@@ -306,12 +310,13 @@ RATE_NAMES = (
 
 
 class Trial(NamedTuple):
-    """What a `Record` is made of: channels, time [s], units, name."""
+    """What a `Record` is made of."""
 
     channels: dict[str, Floats]
     time: Floats | None
     units: dict[str, str]
     name: str
+    begins: float | None
 
 
 def assemble(
@@ -347,6 +352,9 @@ def assemble(
     if gains:
         data = replace(data, values=[x * gains[i] if i in gains else x for i, x in enumerate(data.values)])
     seconds, kept_units = _time(data, time_column, known_units)
+    begins = data.begins
+    if begins is None and time_column is not None and seconds is not None and len(seconds):
+        begins = _clock(data.values[time_column], seconds)
     if seconds is not None and group is None and _ends_in_a_summary(seconds):
         message = f"{_place(data, time_column)}: time goes back in row {n}, the last: it is left out; check the clock"
         warnings.warn(message, DataWarning, stacklevel=3)
@@ -379,7 +387,7 @@ def assemble(
         title = label if group is None else f"{label} [trial {trial}]"
         if t is None and fs is None and step is not None:
             t = data.start + step * np.arange(stop - start, dtype=np.float64)
-        trials.append(Trial(rows, time_from(rows, t, fs, where), kept_units, title))
+        trials.append(Trial(rows, time_from(rows, t, fs, where), kept_units, title, begins))
     return trials
 
 
@@ -439,6 +447,14 @@ def _time(data: Columns, column: int | None, units: Mapping[int, str | None]) ->
     seconds, unit = in_seconds(seconds, unit, data.names[column])
     others = [name for i, name in enumerate(data.names) if i != column]
     return seconds, {"t": unit} if unit and "t" not in others else {}
+
+
+def _clock(raw: Floats, seconds: Floats) -> float | None:
+    """What was taken off times that are numbers of dates [s]; None of others."""
+    if len(raw) < 2 or seconds[0] != 0.0 or raw[0] == 0.0:
+        return None
+    factor = (seconds[1] - seconds[0]) / (raw[1] - raw[0])
+    return float(raw[0] * min(SECONDS.values(), key=lambda one: abs(math.log(one / factor))))
 
 
 def _place(data: Columns, column: int | None) -> str:

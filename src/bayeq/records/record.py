@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import builtins
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self
 
@@ -141,6 +141,8 @@ class Record:
         File name or label, used in messages.
     truth : Truth, optional
         What is known about a simulated record.
+    begins : float, optional
+        What the clock of a file with dates showed at time 0 [s]: `join` tells records by it.
 
     Raises
     ------
@@ -162,6 +164,7 @@ class Record:
     units: Mapping[str, str] = field(default_factory=dict)
     name: str = ""
     truth: Truth | None = None
+    begins: float | None = None
 
     def __post_init__(self) -> None:
         require_kind(self.name, str, "the name of a record", "text")
@@ -194,7 +197,7 @@ class Record:
         object.__setattr__(self, "units", MappingProxyType(units))
 
     def __reduce__(self) -> tuple[Any, ...]:  # a MappingProxyType cannot be pickled
-        return type(self), (dict(self.channels), self.time, dict(self.units), self.name, self.truth)
+        return type(self), (dict(self.channels), self.time, dict(self.units), self.name, self.truth, self.begins)
 
     @classmethod
     def from_arrays(
@@ -269,7 +272,8 @@ class Record:
         Record('data frame': 2 rows at 10 Hz; x [m])
         """
         request = Request(columns, time=time, fs=fs)
-        return cls(*assemble(Columns.from_dataframe(df, request), request, units)[0])
+        trial = assemble(Columns.from_dataframe(df, request), request, units)[0]
+        return cls(*trial[:4], begins=trial.begins)
 
     def to_columns(self) -> Columns:
         """The columns by which the record is written: time first, then the channels."""
@@ -372,7 +376,7 @@ class Record:
         """
         channels = {name: values[rows] for name, values in self.channels.items()}
         time = None if self.time is None else self.time[rows]
-        return Record(channels, time, self.units, self.name, self.truth and self.truth.take(rows))
+        return replace(self, channels=channels, time=time, truth=self.truth and self.truth.take(rows))
 
     def split_by(self, group: Any) -> list[Record]:
         """Split into trials, one for each run of equal consecutive values.
@@ -392,7 +396,7 @@ class Record:
             labels: Any = self[group]
             channels = {name: values for name, values in self.channels.items() if name != group}
             units = {name: unit for name, unit in self.units.items() if name != group}
-            kept = Record(channels, self.time, units, self.name, self.truth)
+            kept = replace(self, channels=channels, units=units)
         else:
             labels = group(self) if callable(group) else group
         starts = trial_starts(labels, self.n, self.name or "record")
@@ -412,7 +416,7 @@ class Record:
         Record
             With the same samples.
         """
-        return Record(self.channels, self.time, self.units, name, self.truth)
+        return replace(self, name=name)
 
     def with_channels(self, mapping: Mapping[str, Any], units: Mapping[str, str] | None = None) -> Record:
         """A record with channels added, or replaced where the name exists.
@@ -433,7 +437,7 @@ class Record:
         """
         kept = {name: unit for name, unit in self.units.items() if name not in mapping}
         channels = {**self.channels, **mapping}
-        return Record(channels, self.time, {**kept, **(units or {})}, self.name, self.truth)
+        return replace(self, channels=channels, units={**kept, **(units or {})})
 
     def require_finite(self, names: Sequence[str] | str | None = None) -> None:
         """Raise a RecordError if a channel (of `names`, or any) holds NaN or infinite samples.
@@ -530,4 +534,4 @@ def with_only(record: Record, names: Iterable[str]) -> Record:
     """These channels of a record, and its time; without what is known of a simulated one."""
     channels = {name: record[name] for name in names}
     units = {name: unit for name, unit in record.units.items() if name in channels or name == "t"}
-    return Record(channels, record.time, units, record.name)
+    return replace(record, channels=channels, units=units, truth=None)

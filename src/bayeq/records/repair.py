@@ -287,7 +287,8 @@ def join(first: Record, *others: Record) -> Record:
 
     The rows are those of `first` within the span that all records have in common. Channels of the others are read off
     cubic splines through their samples, which pass through every sample that has the same time; where a sample beside
-    a row is missing, the row is NaN. The clocks are taken to agree: a delay between them stays.
+    a row is missing, the row is NaN. The clocks are taken to agree: a delay between them stays. Times of files with
+    dates are told by these.
 
     Parameters
     ----------
@@ -316,6 +317,7 @@ def join(first: Record, *others: Record) -> Record:
     >>> joined.time, joined["u"]
     (array([1., 2., 3.]), array([1.5, 2.5, 3.5]))
     """
+    others = tuple(_by_clock_of(first, other) for other in others)
     times = [_time(record) for record in (first, *others)]
     start, stop = max(t[0] for t in times), min(t[-1] for t in times)
     rows = (times[0] >= start) & (times[0] <= stop)
@@ -335,6 +337,13 @@ def join(first: Record, *others: Record) -> Record:
             channels, {name: other.units[name] for name in other.names if name in other.units}
         )
     return joined.renamed(" + ".join(record.name for record in (first, *others) if record.name))
+
+
+def _by_clock_of(first: Record, other: Record) -> Record:
+    """A record with the time of another one, where the clocks of both have dates."""
+    if other.time is None or other.begins is None or first.begins is None:
+        return other
+    return replace(other, time=other.time + (other.begins - first.begins))
 
 
 def _label(record: Record) -> str:

@@ -216,7 +216,8 @@ def parse_chains(texts: Sequence[str], inputs: Sequence[str] = ()) -> tuple[Chai
     for chain in chains:
         for name in chain.names:
             if name in seen:
-                raise ChainError(f"{name!r} occurs in chain {str(seen[name])!r} and in chain {str(chain)!r}")
+                where = f" and in chain {str(chain)!r}" if str(chain) != str(seen[name]) else " twice: leave one out"
+                raise ChainError(f"{name!r} occurs in chain {str(seen[name])!r}{where}")
             seen[name] = chain
     return tuple(chains)
 

@@ -83,6 +83,7 @@ def _read(
     unnamed = not any(headers.texts)
     given = None if names is None else names.replace(",", " ").split() if isinstance(names, str) else names
     doubts: tuple[str, ...] = ()
+    begins: float | None = None
     try:
         data = np.loadtxt(
             str(path), delimiter=layout.delimiter, comments=None, skiprows=layout.skip, encoding=encoding, ndmin=2
@@ -97,7 +98,7 @@ def _read(
             skipped = set(range(layout.width)) - set(chosen(named))
         lines = _Lines(path, layout, headers, skipped)
         data = lines.read(enough)
-        doubts = lines.doubts
+        doubts, begins = lines.doubts, max((day + rest for day, rest in lines.first.values()), default=None)
         if lines.trailing and not headers.texts[-1] and layout.width > 1 and len(given or ()) != layout.width:
             data = data[:, :-1]
             headers = Headers.parse(headers.texts[:-1], where)
@@ -109,7 +110,7 @@ def _read(
         headers = replace(headers, units=["s" if i in layout.stamps else headers.units[i] for i in kept])
     columns = np.ascontiguousarray(data.T)
     found = Columns.build(headers.renamed(given), columns.__getitem__, chosen)
-    return replace(found, step=layout.step, doubts=(*found.doubts, *doubts))
+    return replace(found, step=layout.step, begins=begins, doubts=(*found.doubts, *doubts))
 
 
 def _is_trial_and_time(data: Floats) -> bool:
