@@ -28,6 +28,7 @@ from bayeq.inference.engines import ENGINES
 from bayeq.inference.posterior import Posterior
 from bayeq.numerics.settings import EQUATION
 from bayeq.plan.information import likeliest_models
+from bayeq.records.names import in_si, parse_unit
 from bayeq.regression.by_likelihood import RecordRegression, changes_by_noise, inputs_of_hidden_noise
 from bayeq.regression.fit import RegressionFit
 from bayeq.regression.regression import Regression
@@ -259,6 +260,16 @@ def _runners_up(fit: RegressionFit, posterior: Posterior) -> tuple[RunnerUp, ...
     )
 
 
+def _against(equation: Equation, inputs: Sequence[str]) -> str | None:
+    """The one input of an oscillator, if its coefficient is negative and it is no acceleration, of a base."""
+    found = {name: value for name, value in equation.shown_model.coefficients.items() if name in inputs}
+    if equation.chain.order != 2 or equation.chain.discrete or len(found) != 1:
+        return None
+    ((name, value),) = found.items()
+    unit = in_si(parse_unit(equation.units.get(name, "")))
+    return None if value > 0.0 or (unit is not None and unit[1] == {"m": 1, "s": -2}) else name
+
+
 def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
     """Record what makes an equation less than it seems."""
     target, posterior = equation.target, equation.posterior
@@ -282,6 +293,12 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
                 f" {own[j]:.4g}; check both, or drop that",
                 DataWarning,
             )
+    force = _against(equation, regression.motion.roles.inputs)
+    if force is not None:
+        log.warn(
+            f"{target}: {force} acts against {equation.chain.names[0]}: reverse it, if a force (--scale {force}=-1)",
+            DataWarning,
+        )
     beyond = selection.fit.beyond_bounds(CONTRADICTED)
     contradicted = [name for name in posterior.details.contradicted if name not in beyond]
     if contradicted:

@@ -78,6 +78,8 @@ def oscillator_parameters(
     eq: Answer, mass: float | None, *, target: str | None, force: str | None, draws: int, seed: int
 ) -> PhysicalParameters:
     """See `Equations.physical`."""
+    if eq.verdict.kind == "none":
+        raise InputError("no equation was found, so that there are no physical parameters: see the verdict")
     if eq.roles.discrete:
         raise InputError("physical parameters are those of equations of motion, not of maps")
     if eq.data.rows_as_time:
@@ -188,6 +190,8 @@ def physical_parameters(
             " damping: it has no parameters of an oscillator or a drive"
         )
     driven = _force(inputs, coefficients, force)
+    if driven is not None and force is None and mass is None and np.quantile(coefficients[driven], 0.975) < 0.0:
+        driven = None  # against the motion, or what moves a base: it says nothing of the mass
     system = OscillatorUnits(units, law.chain, law.unit_gains, driven, mass is not None)
     theta = {f.symbol: coefficients[f.term] * system.scale(f.powers) for f in forces}
     mixed = [name for name in coefficients if _is_mixed(parse(name), law.chain.states, [*inputs, TIME])]
@@ -457,7 +461,7 @@ def _known(values: Floats) -> bool:
 def _is_displaced(
     coefficients: Mapping[Expression, Floats], constant: bool, x: str, v: str, span: tuple[float, float]
 ) -> bool:
-    """Whether coefficients are to be taken about the position of rest: it is not zero, or the spring no polynomial.
+    """Whether coefficients are about a position of rest: there is one, not at zero, or the spring is no polynomial.
 
     Of the terms' coefficients only which terms there are counts; `constant` says whether the equation has one, and the
     span is that of the samples of the displacement `x`.
@@ -465,7 +469,7 @@ def _is_displaced(
     alone = [term for term in coefficients if term.names == {x}]
     forced = any(abs(float(evaluate_terms([term], {x: np.zeros(1)})[0, 0])) > 0.0 for term in alone)
     bent = any(_powers(term.tree, x, v) is None and not any(jumps_of(term.tree)) for term in alone)
-    return constant or forced or bent or not span[0] <= 0.0 <= span[1]
+    return bool(alone) and (constant or forced or bent or not span[0] <= 0.0 <= span[1])
 
 
 def _about_rest(

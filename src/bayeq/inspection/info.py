@@ -20,7 +20,7 @@ from bayeq.inspection.roles import INPUT, REFERENCE, Guess, clues_of, guess_role
 from bayeq.inspection.rows import Experiments, find_bad, gaps_of, sort_rows, starts_from_rest
 from bayeq.records import Record, as_record, check_record, read, without_copies
 from bayeq.records.findings import Finding
-from bayeq.records.names import is_time_name
+from bayeq.records.names import is_time_name, time_unit
 from bayeq.records.record import with_only
 from bayeq.states.bad_samples import ADVICE
 
@@ -270,12 +270,17 @@ def copies_among(found: Sequence[RecordInfo]) -> list[str]:
 # --- what was noticed, a sentence each ------------------------------------------------------------------------------
 
 
+# Units of time in words, where these are not the unit with an s.
+DURATIONS = {"d": "days", "h": "hours", "min": "minutes"}
+
+
 def _on_time(found: RecordInfo) -> list[str]:
     out = []
     column = found.experiments.time
     if column is not None and not found.experiments.restarts:
-        clock = found.experiments.records[0].clock
-        unit = "seconds unless its header has a unit" if clock == "s" else clock + "s" * (clock[-1] != "s")
+        clock = time_unit(column) or found.experiments.records[0].clock
+        named = DURATIONS.get(clock, clock.removesuffix("s") + "s")
+        unit = "seconds unless its header has a unit" if clock == "s" else named
         out.append(f"time: no column has its name; {column}, which rises, is taken, in {unit}")
     if found.experiments.step is not None:
         out.append(f"time: {found.experiments.step} is constant and named as the time step [s]: taken for it")

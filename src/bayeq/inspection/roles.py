@@ -38,7 +38,7 @@ SENSORS: Mapping[int, str] = {
     1: "gyro tacho",
     2: "accelerometer",
     INPUT: "load last charge in input exc excitation shaker anregung drive heater heizung pump pumpe pompe ambient room"
-    " umgebung ambiante",
+    " umgebung ambiante motor antrieb moteur",
 }
 SYMBOLS: Mapping[int, str] = {
     0: "x y z q s d o th theta phi psi",
@@ -50,7 +50,8 @@ SYMBOLS: Mapping[int, str] = {
 TABLES = (QUANTITIES, SENSORS, SYMBOLS)
 TIERS = tuple({word: order for order, words in table.items() for word in words.split()} for table in TABLES)
 # Words beside them: what the motion is to follow, or its error; commands, which with the unit of a motion are wanted
-# too; what is around; of one motor's inputs the measured force is proposed, else the current, else what commands them.
+# too; what is around; of one motor's inputs the measured force is proposed, else the current, else what commands them;
+# what moves a base, whose acceleration is an input.
 KINDS = (
     "ref reference soll setpoint target desired demand consigne fuhrungs vorgabe error err fehler abweichung"
     " regelabweichung ecart erreur",
@@ -58,6 +59,7 @@ KINDS = (
     "ambient room umgebung ambiante raum outside",
     "force kraft torque drehmoment moment couple effort fuerza forza load last charge",
     "current strom courant",
+    "base ground foundation boden fundament sockel sol support",
 )
 # Words of this many letters are found at the beginning and the end of longer ones: Motorspannung, Kraftmessdose.
 COMPOUND = 5
@@ -132,17 +134,30 @@ class Guess:
 
 
 def clues_of(units: Mapping[str, str]) -> dict[str, Clue]:
-    """What the units and names of the channels of a record say; what all names begin with, and says nothing, is left
-    out: F of rig_F, beside rig_x.
+    """What the units and names of the channels of a record say.
+
+    What all names begin with is left out where it says nothing, F of rig_F beside rig_x, or is a letter before names of
+    other kinds. Names of a recorder's inputs, Voltage_0 and Voltage_1, say nothing at all.
 
     Examples
     --------
     >>> {name: clue.order for name, clue in clues_of({"rig_x": "", "rig_F": ""}).items()}
     {'rig_x': 0, 'rig_F': -1}
+    >>> [clue.order for clue in clues_of({"A_x": "", "A_F": ""}).values()]
+    [0, -1]
+    >>> [clue.order for clue in clues_of({"Voltage_0": "", "Voltage_1": ""}).values()]
+    [None, None]
     """
     first = {name.rpartition("_")[0] for name in units}
-    plain = len(units) > 1 and len(first) == 1 and _order_of_name(_parts("".join(first)))[0] is None
-    return {name: clue_of(name.rpartition("_")[2] if plain else name, unit) for name, unit in units.items()}
+    if len(units) < 2 or len(first) > 1:
+        return {name: clue_of(name, unit) for name, unit in units.items()}
+    rest = {name: name.rpartition("_")[2] for name in units}
+    said, tier, _ = _order_of_name(_parts("".join(first)))
+    if said == INPUT and tier == 0 and all(name.isdigit() for name in rest.values()):
+        return {name: clue_of(f"ch{rest[name]}", unit) for name, unit in units.items()}
+    kinds = {_order_of_name(_parts(name))[0] for name in rest.values()}
+    plain = said is None or (tier == 2 and None not in kinds and len(kinds) > 1)
+    return {name: clue_of(rest[name] if plain else name, unit) for name, unit in units.items()}
 
 
 def clue_of(name: str, unit: str) -> Clue:
@@ -166,11 +181,11 @@ def clue_of(name: str, unit: str) -> Clue:
     )
     by_unit = _order_of_unit(unit)
     order, why = (by_name, "its name") if by_unit is None else (by_unit, f"its unit {unit}")
-    wanted, commands, ambient, measured, current = (bool(set(words.split()) & set(parts)) for words in KINDS)
+    wanted, commands, ambient, measured, current, moved = (bool(set(words.split()) & set(parts)) for words in KINDS)
     rank = 2 if wanted or commands else 0 if measured or by_unit == INPUT else 1 if current else 2
     if (wanted and order != INPUT) or (commands and order in (0, 1, 2, STATE) and (by_unit is not None or not unit)):
         order, why = REFERENCE, "its name"
-    elif order == STATE and ambient:
+    elif (order == STATE and ambient) or (order == 2 and moved):
         order, why = INPUT, "its name"
     elif by_name == STATE and order == 0:
         order, why = STATE, "its name"
@@ -198,6 +213,7 @@ def _parts(name: str) -> list[str]:
     where German says what is wanted (soll) or is (ist)."""
     plain = "".join(c for c in unicodedata.normalize("NFKD", name) if not unicodedata.combining(c))
     divided = re.sub(r"([a-z])([A-Z])", r"\1_\2", plain).casefold()
+    divided = re.sub(r"^i_(?=[a-z])", "current_", divided)  # i_q of a motor
     divided = re.sub(r"(?<![^\W_])(soll|ist)(?=[a-z]{3})|(?<=[a-z])(soll)", r"_\1\2_", divided)
     parts = re.findall(r"\d+|[^\W\d_]+", divided)
     return [SENSOR_ENDS.sub("", part) or part for part in parts]
@@ -245,6 +261,8 @@ def guess_roles(
     of_order = {k: [n for n in names if clues[n].order == k and n not in linked] for k in (INPUT, REFERENCE, 0)}
     for name in of_order[REFERENCE]:
         reasons[name] = "is what the motion is to follow, or an error, and does not drive it"
+        if clues[name].symbol:  # R of S, I and R
+            reasons[name] = f"may be a reference or an error, by its letter: if it is a state, --chain {name}"
     for k, name in enumerate(of_order[0]):
         same = [other for other in of_order[0][:k] if alike.get(frozenset((name, other)), 0.0) > SAME]
         if same:
