@@ -125,6 +125,33 @@ def test_a_true_tie_holds_and_a_wrong_one_is_refused_with_its_odds() -> None:
     assert tied.constraints == ("ddx1: x1-x2 == 2*(ddx2: x2-x1)",)
 
 
+def test_an_equality_in_one_equation_is_a_tie_too() -> None:
+    record = simulate("duffing", n=700, fs=250.0, seed=1, noise=0.05)
+    ask = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u", "holdout": 0.0}
+    ask |= {"dictionary": "x, v, x**3, u, x**2, v*abs(v)"}
+    (free,) = bq.discover(record, **ask)
+    (held,) = bq.discover(record, constraints=["u == 1"], **ask)
+    assert held.shown == free.shown
+    assert held.shown_coef["u"] == 1.0
+    with pytest.warns(BayeqWarning, match=r"contradicts u == 1\.1 \(odds 1:.*shown without"):
+        wrong = bq.discover(record, constraints=["u == 1.1", "v <= 0"], **ask)
+    assert wrong[0].shown_coef["u"] == pytest.approx(1.0, abs=0.02)
+    assert wrong.constraints == ("v <= 0",)
+
+
+def test_a_difference_the_other_way_round_is_the_same_term() -> None:
+    terms = [parse(text) for text in ("x2-x1", "x1", "u")]
+    [(_, parts, _)] = parse_ties(["2*(a1: x1-x2) == a2: x2-x1"], terms, ["a1", "a2"])
+    assert parts == ((0, 0, -2.0), (1, 0, -1.0))
+    one, _ = parse_constraints(["a1: 2*(x1-x2) == -3"], terms, ["a1", "a2"])
+    assert (one.equalities.eliminated.tolist(), one.equalities.offsets.tolist()) == ([0], [1.5])
+    with pytest.raises(InputError, match=r"term x2-x1 was left out of the dictionary: a copy of x1-x2"):
+        parse_ties(["a1: x1 == a2: x1-x2"], terms[1:], ["a1", "a2"], {"x2-x1": "a copy of x1-x2 on the data"})
+    with pytest.raises(InputError, match=r"u is no candidate of a2"):
+        allowed = np.array([[True, True, True], [True, True, False]])
+        parse_ties(["a1: u == a2: u"], terms, ["a1", "a2"], allowed=allowed)
+
+
 def test_a_coefficient_that_was_measured_before_is_sharper_and_a_wrong_one_is_told() -> None:
     record = simulate("duffing", n=700, fs=250.0, seed=1, noise=0.05)
     ask = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u", "holdout": 0.0}

@@ -163,8 +163,12 @@ def test_weights_and_equations_beside_the_sum() -> None:
 
 
 def test_a_record_whose_sum_changes_says_so() -> None:
-    with pytest.warns(BayeqWarning, match=r"contradicts that S \+ I \+ R does not change: it varies with a sd of 0\.1"):
-        found(sir(1, lost=0.1), dictionary="I, S*I")
+    with pytest.warns(
+        BayeqWarning, match=r"contradicts that S \+ I \+ R does not change \(sd 0\.1\d*\): shown without"
+    ):
+        eq = found(sir(1, lost=0.1), dictionary="I, S*I")
+    assert eq.constraints == ()
+    assert sum(one.shown_coef.get("I", 0.0) for one in eq) == pytest.approx(-0.1, rel=0.3)
 
 
 @pytest.mark.parametrize(

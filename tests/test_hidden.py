@@ -76,11 +76,25 @@ def test_a_law_is_a_chain_without_channels():
         ("du = x", "u has an equation"),
         ("df = (u - f)/{tau} + w", "w"),
         ("df = {a} + {b}*f + {c}*u + {d}", "at most 3 constants"),
+        ("df = 1", "depends on states or inputs"),
+        ("df = {a: 1..2}", "depends on states or inputs"),
+        ("df = x*0", "does not change on the data"),
     ],
 )
 def test_laws_that_cannot_be(law, why):
     with pytest.raises(BayeqError, match=why):
         bq.discover(actuator(1), chains="x::", inputs=["u"], dictionary="x, dx, f", law=law)
+
+
+def test_a_scale_that_is_stated_is_the_one_of_the_fit():
+    law = "df = {k: 5..100}*u - {c: 1..200}*f"
+    eq = bq.discover(
+        actuator(1), chains="x::", inputs=["u"], dictionary="x, dx, x**3, f", law=law, constraints="f == 4"
+    )
+    found = {one.name: one.value for one in eq.constants}
+    assert eq[0].shown_coef["f"] == 4.0
+    # 8 f' with f' = (u - f')/tau, in the scale of f = 2 f'
+    assert (found["c"], found["k"]) == (pytest.approx(1.0 / TAU, rel=0.05), pytest.approx(2.0 / TAU, rel=0.05))
 
 
 def test_a_hidden_state_needs_a_law_and_a_use():

@@ -407,6 +407,17 @@ def test_names_in_a_structure_say_what_they_say_without_it():
     assert guess.inputs == ("rig_F",)
 
 
+def test_what_is_no_acceleration_by_name_is_none_by_its_course():
+    t, x, _, a = motion()
+    for force in ("i_motor", "i_q", "Base_acc"):  # currents, and what moves a base
+        guess = bq.info(bq.Record({"pos": x, force: 0.9 * a + 0.1 * x}, t)).guess
+        assert (guess.chains, guess.inputs) == ((("pos", None, None),), (force,))
+    guess = bq.info(bq.Record({"A_x": x, "A_F": 0.5 * a + 0.4 * x}, t)).guess
+    assert (guess.chains, guess.inputs) == ((("A_x", None, None),), ("A_F",))
+    recorder = bq.Record({"Voltage_0": x, "Voltage_1": a}, t)
+    assert bq.info(recorder).guess.chains == (("Voltage_0", None, "Voltage_1"),)
+
+
 def test_a_level_under_an_inflow_is_of_first_order():
     rng, t, h, levels = np.random.default_rng(0), 60.0 * np.arange(600.0), 2.0, []
     inflow = 1.0 + 0.3 * np.convolve(rng.standard_normal(680), np.ones(81) / 9.0, mode="valid")

@@ -214,6 +214,21 @@ def test_what_does_not_oscillate_has_no_frequency():
     assert found["k"].mean == pytest.approx(-1000.0, rel=1e-3)
 
 
+def test_a_force_against_the_motion_tells_no_mass_and_hides_no_frequency():
+    found = parameters({**DUFFING, "u": -0.5})
+    assert "m" not in {q.symbol for q in found}
+    assert found["omega_n"].mean == pytest.approx(math.sqrt(500.0), rel=1e-3)
+    assert found.unexplained == ("u",)
+
+
+def test_a_load_of_a_drive_without_stiffness_hides_no_mass():
+    law = Law(parse_chain("x:v:a"), [parse("v"), parse("u")], posterior({"v": -2.0, "u": 0.5}), ())
+    lifted = replace(law.posterior, constant=Constant(np.zeros(2), -9.81, pip=1.0))
+    found = physical_parameters(law._replace(posterior=lifted), ("u",), SI, span=(-1.0, 0.0))
+    assert found["m"].mean == pytest.approx(2.0, rel=1e-3)
+    assert found["c"].mean == pytest.approx(4.0, rel=1e-3)
+
+
 @pytest.mark.parametrize(
     ("coef", "options", "message"),
     [
@@ -222,7 +237,7 @@ def test_what_does_not_oscillate_has_no_frequency():
         (DUFFING, {"mass": math.inf}, "mass must be positive"),
         (DUFFING, {"draws": 10}, "at least 100"),
         (DUFFING, {"draws": 1e4}, "whole number"),
-        ({**DUFFING, "u": -0.5}, {}, "not positive with any certainty"),
+        ({**DUFFING, "u": -0.5}, {"force": "u"}, "not positive with any certainty"),
         (DUFFING, {"force": "w"}, "w"),
         (DUFFING, {"chain": "x"}, "second-order"),
         (DUFFING, {"units": {**SI, "v": "m"}}, "no derivative"),

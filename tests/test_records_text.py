@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from bayeq.errors import DataWarning, FileFormatError, InputError, MissingExtraError, RecordError, UnknownNameError
-from bayeq.records import Record, read, write
+from bayeq.records import Record, join, read, write
 from bayeq.records.columns import Headers
 from bayeq.records.formats import parquet
 from bayeq.records.formats.layout import sniff
@@ -343,3 +343,27 @@ def test_a_comment_names_trial_and_time_only_of_columns_that_are_there(tmp_path:
     path = put(tmp_path, "%DI-x [m,v\n0,1,\n,1,\n")
     found = read_columns(path)
     assert len(found.names) == len(found.values) == 2
+
+
+def test_files_with_dates_are_joined_by_their_clocks(tmp_path):
+    def written(name, channel, first, n=40):
+        rows = [f"02/05/2024 10:00:{(first + k) / 10:09.6f},{first + k}\n" for k in range(n)]
+        path = tmp_path / name
+        path.write_text(f"Time,{channel}\n" + "".join(rows))
+        return read(path)
+
+    one, two = written("a.csv", "x", 0), written("b.csv", "F", 5)
+    assert (one.time[0], two.time[0]) == (0.0, 0.0)
+    joined = join(one, two.slice(3))
+    np.testing.assert_allclose(joined["x"], joined["F"], atol=1e-5)
+    assert joined.n == 32
+    frames = [
+        Record.from_dataframe(pd.DataFrame({"t": pd.to_datetime(1e9 * np.arange(k, k + 9), unit="ns"), name: range(9)}))
+        for k, name in ((0, "x"), (2, "F"))
+    ]
+    np.testing.assert_array_equal(join(*frames)["F"], np.arange(7.0))
+    stamps = [
+        {"timestamp": 1.7e9 + np.arange(k, k + 9.0), name: np.arange(k, k + 9.0)} for k, name in ((0, "x"), (2, "F"))
+    ]
+    both = join(*(Record.from_dataframe(pd.DataFrame(one)) for one in stamps))
+    np.testing.assert_allclose(both["x"], both["F"], atol=1e-5)

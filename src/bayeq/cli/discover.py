@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -228,8 +229,14 @@ def discover(files: tuple[Path, ...], as_json: bool, verbose: bool, dask: str | 
         outputs.check_records(records, options["discrete"])
         from bayeq.discovery import discover as run  # once the files are known to be readable
 
-        answer = run(source, **options, progress=progress, client=client, stream=reading.stream)
-        outputs.write(answer, records, read, options["holdout"], as_json, progress, verbose)
+        said: list[warnings.WarningMessage] = []
+        try:
+            with warnings.catch_warnings(record=True) as said:
+                answer = run(source, **options, progress=progress, client=client, stream=reading.stream)
+            outputs.write(answer, records, read, options["holdout"], as_json, progress, verbose)
+        finally:  # behind the verdict
+            for one in said:
+                warnings.showwarning(one.message, one.category, one.filename, one.lineno)
 
 
 def source_of(

@@ -460,6 +460,8 @@ def _files_of_terms(options: Mapping[str, Any]) -> list[Path]:
 
 def _physical(answer: Equations) -> dict[str, PhysicalParameters]:
     """Of the only equation of second order, of all of several together, or of states of first order."""
+    if answer.verdict.kind == "none":
+        raise InputError("no equation was found, so that there are no physical parameters: see the verdict")
     second = [equation.target for equation in answer if equation.chain.order == 2]
     if len(second) == 1:
         return {second[0]: answer.physical(target=second[0])}

@@ -78,8 +78,6 @@ def oscillator_parameters(
     eq: Answer, mass: float | None, *, target: str | None, force: str | None, draws: int, seed: int
 ) -> PhysicalParameters:
     """See `Equations.physical`."""
-    if eq.verdict.kind == "none":
-        raise InputError("no equation was found, so that there are no physical parameters: see the verdict")
     if eq.roles.discrete:
         raise InputError("physical parameters are those of equations of motion, not of maps")
     if eq.data.rows_as_time:
