@@ -61,12 +61,8 @@ MOST_DRAWS, LEAST_SHARE = 4000, 0.5
 
 
 def own_parameters(eq: Answer) -> PhysicalParameters | None:
-    """Physical parameters; None where the equations have none, or where none was found.
-
-    They are given the terms shown: None too where these are not determined, and intervals depend on which they are.
-    """
-    over_models = any(one.printed_over_models.any() or one.intercept_over_models for one in eq.equations)
-    if eq.verdict.kind == "none" or (eq.verdict.kind == "not determined" and over_models):
+    """Physical parameters; None where the equations have none, or are none or not determined: they hold given terms."""
+    if eq.verdict.kind in ("none", "not determined"):
         return None
     try:
         return oscillator_parameters(eq, None, target=None, force=None, draws=DRAWS, seed=0)

@@ -124,6 +124,9 @@ def doubted(
     target, rate = chain.target, "per sample" if chain.discrete else "Hz"
     if verdict.kind == "none" or chain.stated:
         return verdict
+    share = left if left is not None else 0.0 if lacking is None else lacking.size
+    if share >= EQUATION.as_the_mean:
+        return Verdict("none", f"no equation found: the terms leave no less of {target} than its mean does")
     if again is not None:
         return _on_one_orbit(again, chain, rate)
     if reversed_channel is not None:
@@ -141,7 +144,6 @@ def doubted(
             f" probability, the likeliest {' and '.join(change) or 'with another constant'}",
             "a longer record, other amplitudes or frequencies would tell (bayeq plan), or terms known beforehand",
         )
-    share = left if left is not None else 0.0 if lacking is None else lacking.size
     unexplained = f"{percentages({'': share}).strip()} of {target} is not explained by these terms"
     careful = "parameters may be off by more than their intervals say"
     # most of what is not explained, by a coefficient that keeps its sign: others may make up for a missing term
