@@ -38,6 +38,9 @@ FEW, ADVICE = 2, " (--verbose)"
 # Terms of an equation of several are listed a line each up to this number.
 MOST_ROWS = 6
 
+# An answer that is longer goes without the line left empty above the checks, if that is enough.
+MOST_LINES = 16
+
 # Parameters that follow from others and are not printed.
 DERIVED = ("omega_n",)
 
@@ -74,10 +77,18 @@ def brief(eq: Answer) -> str:
     lines += ["", *_wrapped(checks(eq))]
     for one in eq.equations:
         which = f"{one.target}: " if len(eq.equations) > 1 else ""
-        texts = (*failed(one), *text.unseen(one, FEW, ADVICE))
-        lines += [line for said in texts for line in _wrapped(printable(which + said))]
+        small = [[_wrapped(printable(which + said)) for said in text.unseen(one, few, ADVICE)] for few in (FEW, 1)]
+        shortest = min(small, key=lambda said: sum(map(len, said)))
+        lines += [
+            line for said in (*(_wrapped(printable(which + said)) for said in failed(one)), *shortest) for line in said
+        ]
     lines += [line for said in text.given_of(eq) for line in _wrapped(printable(said))]
-    return "\n".join([*lines, *_wrapped(text.source_of(eq, short=True))])
+    lines += _wrapped(text.source_of(eq, short=True))
+    if len(lines) > MOST_LINES >= len(lines) - lines.count("") + 1:
+        lines.reverse()
+        lines.remove("")
+        lines.reverse()
+    return "\n".join(lines)
 
 
 def _owner(eq: Answer) -> Equation | None:
@@ -89,7 +100,7 @@ def _owner(eq: Answer) -> Equation | None:
 def _law(eq: Answer, physical: PhysicalParameters, owner: Equation, tabled: bool) -> list[str]:
     """The law in symbols, where it is one of these, its parameters, and the terms that have no place among them."""
     in_symbols, symbols = law_in_symbols(eq, physical), {q.symbol for q in physical}
-    lines = [*([] if in_symbols is None else [printable(in_symbols)]), *_quantities(physical)]
+    lines = [*([] if in_symbols is None else _wrapped(printable(in_symbols), "    ")), *_quantities(physical)]
     also = ", ".join(physical.unexplained) if tabled else _intervals(owner, physical.unexplained, "x0" in symbols)
     return lines + _wrapped(printable(f"    also in the equation: {also}"), "      ") if also else lines
 
@@ -108,7 +119,9 @@ def _marked(row: text.Row) -> str:
 
 
 def _wrapped(words: str, indent: str = "  ") -> list[str]:
-    return textwrap.wrap(words, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+    together = words.replace(" %", "\u00a0%")  # a number and its unit stay on a line
+    lines = textwrap.wrap(together, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+    return [line.replace("\u00a0", " ") for line in lines]
 
 
 def sentence(eq: Answer) -> str:
