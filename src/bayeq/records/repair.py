@@ -288,7 +288,7 @@ def join(first: Record, *others: Record) -> Record:
     The rows are those of `first` within the span that all records have in common. Channels of the others are read off
     cubic splines through their samples, which pass through every sample that has the same time; where a sample beside
     a row is missing, the row is NaN. The clocks are taken to agree: a delay between them stays. Times of files with
-    dates are told by these.
+    dates are compared by them.
 
     Parameters
     ----------
