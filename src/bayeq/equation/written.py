@@ -203,7 +203,7 @@ def channel_units(
 
 
 # Products of SI units that have a shorter name.
-SHORTER: Mapping[str, str] = {"N*s^2/m": "kg", "N*m*s^2": "kg*m^2"}
+SHORTER: Mapping[str, str] = {"N*s^2/m": "kg", "N*m*s^2": "kg*m^2", "Nm*s^2": "kg*m^2"}
 
 
 class OscillatorUnits:
