@@ -166,7 +166,9 @@ def _elsewhere(motion: Motion, task: Task, fitted: Fitted, family: Sequence[int]
             other = settle(*_at(motion, task, fitted, node))
         except np.linalg.LinAlgError:
             continue
-        if other[1].evidence > fitted.evidence:
+        # of a model without these terms their values say nothing: those of its neighbours stay
+        used = other[1].model.reshape(task.layout.chains, -1)[:, list(family)].any()
+        if other[1].evidence > fitted.evidence + (0.0 if used else BETTER):
             return other
     return task, fitted
 
