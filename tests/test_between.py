@@ -147,8 +147,8 @@ def test_a_difference_the_other_way_round_is_the_same_term() -> None:
     assert (one.equalities.eliminated.tolist(), one.equalities.offsets.tolist()) == ([0], [1.5])
     with pytest.raises(InputError, match=r"term x2-x1 was left out of the dictionary: a copy of x1-x2"):
         parse_ties(["a1: x1 == a2: x1-x2"], terms[1:], ["a1", "a2"], {"x2-x1": "a copy of x1-x2 on the data"})
+    allowed = np.array([[True, True, True], [True, True, False]])
     with pytest.raises(InputError, match=r"u is no candidate of a2"):
-        allowed = np.array([[True, True, True], [True, True, False]])
         parse_ties(["a1: u == a2: u"], terms, ["a1", "a2"], allowed=allowed)
 
 

@@ -16,6 +16,7 @@ import bayeq as bq
 from bayeq.errors import BayeqWarning, InputError, MissingExtraError, RecordError, UnknownNameError
 from bayeq.expressions import Tape, parse
 from bayeq.forecast.dynamics import finest_step, normal_draws
+from bayeq.inference.posterior import Constant
 from bayeq.ode.rk4 import Drive, free_runs, interpolant
 from tests.simulated import FS, coarse
 
@@ -339,7 +340,7 @@ def test_a_run_starts_where_it_follows_the_first_period_best():
     eq = bq.discover(rec, chains="x:v:a", inputs=["u"], dictionary=["x", "v", "u"], smooth="none")
     truth = rec.truth.coefficients["a"]
     p = eq[0].posterior
-    exact = replace(p, coef=np.array([truth[name] for name in p.names]), target_mean=0.0, center=np.zeros(3))
+    exact = replace(p, coef=np.array([truth[name] for name in p.names]), constant=Constant(np.zeros(3)))
     eq = replace(eq, equations=(eq[0].with_posterior(exact),))
     clean = rec.truth.clean["x"]
     read = {name: float(rec[name][0]) for name in "xv"}

@@ -36,6 +36,19 @@ def dictionaries() -> list[bytes]:
     return [text.encode() for text in texts]
 
 
+def known() -> list[bytes]:
+    """What is known beforehand: constraints, ties, conserved sums, laws of hidden states."""
+    texts = [
+        "a: x1-x2 == 2*(b: x2-x1)",
+        "0 <= a: x1**3 <= 5",
+        "x1*abs(x1) == 0.5*x1**3 - 2*u",
+        "u ~ 0.1 +- 0.001",
+        "2*S + I - R",
+        "df = {k: 1..5}*u - f/{tau}",
+    ]
+    return [text.encode() for text in texts]
+
+
 def tables() -> list[bytes]:
     """Tables as instruments export them."""
     found = [path.read_bytes() for path in sorted(INSTRUMENTS.iterdir()) if path.suffix not in (".lvm", ".unv")]

@@ -25,6 +25,9 @@ from bayeq.equation.written import constant_units
 from bayeq.errors import BayeqError
 from bayeq.expressions import Evaluator, parse
 from bayeq.records import Record, read, write
+from bayeq.regression.constraints import parse_conserved, parse_constraints, parse_ties
+from bayeq.states import Roles, with_laws
+from bayeq.states.roles import parse_chains
 from tests.fuzz import seeds
 
 __all__ = ["TARGETS", "Target"]
@@ -89,6 +92,25 @@ def _dictionary(data: bytes) -> None:
         for family in families(terms):
             own = [terms[j].with_unknowns(constants) for j in family]
             next(grids(own, constants, [{**COLUMNS, "t": np.arange(3.0)}]))
+
+
+def _known(data: bytes) -> None:
+    """Constraints, ties between equations, conserved sums and laws of hidden states."""
+    text = data.decode("utf-8", "surrogateescape")
+    terms = [parse(one) for one in ("x1-x2", "x2-x1", "x1", "u", "x1**3", "x1*abs(x1)")]
+    with contextlib.suppress(BayeqError):
+        for one in parse_constraints([text], terms, ("a", "b")):
+            assert np.isfinite(one.equalities.slopes).all()
+            assert (one.limits[:, 0] < one.limits[:, 1]).all()
+            assert all(sd > 0.0 and math.isfinite(mean) for _, mean, sd in one.stated)
+    with contextlib.suppress(BayeqError):
+        for _, parts, value in parse_ties([text], terms, ("a", "b")):
+            assert all(math.isfinite(factor) for _, _, factor in parts)
+            assert math.isfinite(value)
+    with contextlib.suppress(BayeqError):
+        assert len(parse_conserved(text, parse_chains(["S", "I", "R"]))) > 1
+    with contextlib.suppress(BayeqError):
+        with_laws(text, Roles.parse(["x1::"], inputs=["u"]))
 
 
 def _file(name: str, data: bytes) -> None:
@@ -209,6 +231,7 @@ OPTIONS = (
 TARGETS: dict[str, Target] = {
     "expressions": Target(_expression, seeds.expressions, SIGNS + NUMBERS),
     "dictionaries": Target(_dictionary, seeds.dictionaries, (*SIGNS, *NUMBERS, *_words("oscillator fourier:2 + ; a:"))),
+    "known": Target(_known, seeds.known, (*SIGNS, *NUMBERS, *_words("== <= >= ~ +- a: b: df d 2*( S + I"))),
     "text": Target(_text, seeds.tables, TABLE + NUMBERS),
     "npz": Target(_npz, seeds.archives, HEADER + BINARY),
     "npy": Target(_npy, seeds.arrays, HEADER + BINARY),

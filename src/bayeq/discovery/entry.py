@@ -147,7 +147,7 @@ def discover(
         ``"x*abs(x) == 0.5*x**3"``, signs and bounds, ``"v <= 0"``, ``"0 <= x**3 <= 5"`` (methods auto and bma), and
         what was measured before, with its standard deviation, ``"u ~ 0.1 +- 0.001"``. They concern every equation, or
         with a target in front that one, ``"a: v <= 0"``. ``"a1: x1-x2 == 2*(a2: x2-x1)"`` ties coefficients of two
-        equations; where the record contradicts that, it is said, and the answer is the one without.
+        equations. Where the record contradicts what has ``==``, it is said, and the answer is the one without.
     conserve : str
         A sum of states of first order that does not change, ``"S + I + R"``: every term is a flow between two of them,
         with opposite coefficients in their equations.

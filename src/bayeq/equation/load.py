@@ -245,7 +245,7 @@ def _restored_shown(like: Posterior, saved: Saved, given: Saved | None) -> Poste
         like,
         support=np.array([term["shown"] for term in terms], dtype=np.bool_),
         coef=np.array([term["shown_coef"] if term["shown"] else 0.0 for term in terms], dtype=np.float64),
-        **_given_terms(saved, given),
+        **_given_terms(saved, given, like),
     )
 
 
@@ -253,18 +253,29 @@ def _bounded(posterior: Posterior, ends: Floats | None) -> Posterior:
     return replace(posterior, details=replace(posterior.details, bounds=ends))
 
 
-def _given_terms(saved: Saved, given: Saved) -> dict[str, Any]:
-    """Of a posterior given its terms, beside the coefficients."""
+def _given_terms(saved: Saved, given: Saved, like: Posterior | None = None) -> dict[str, Any]:
+    """Of a posterior given its terms, beside the coefficients; what was not written is that of another one."""
     left_out = None if saved.get("intercept_included", True) else (saved["intercept"], saved["intercept_sd"])
-    center = np.array(given["center"], dtype=np.float64)
+    if like is not None:
+        known = {"center": like.constant.center, "target_mean": like.constant.mean}
+        given = {
+            **known,
+            "target_mean_variance": like.constant.variance,
+            "noise_variance": like.noise_variance,
+            **given,
+        }
     constant = Constant(
-        center, given["target_mean"], given.get("target_mean_variance"), saved.get("intercept_pip"), left_out
+        np.array(given["center"], dtype=np.float64),
+        given["target_mean"],
+        given.get("target_mean_variance"),
+        saved.get("intercept_pip"),
+        left_out,
     )
     freedom, projected = _value(Floats | None, given.get("freedom")), None
-    if freedom is not None:
-        coef, sd = (_column(saved["terms"], f"likelihood_{name}") for name in ("coef", "sd"))
-        lines = tuple(saved.get("error_lines", ()))
-        projected = Projected(coef, sd, freedom, saved["error_share"], saved["error_sd"], lines)
+    coef, sd = (_column(saved["terms"], f"likelihood_{name}") for name in ("coef", "sd"))
+    if freedom is not None and coef is not None and sd is not None:
+        share, size, lines = (saved.get(f"error_{name}") for name in ("share", "sd", "lines"))
+        projected = Projected(coef, sd, freedom, share or 0.0, size or 0.0, tuple(lines or ()))
     return {
         "covariance": _square(given["covariance"]),
         "constant": constant,

@@ -317,8 +317,9 @@ def join(first: Record, *others: Record) -> Record:
     >>> joined.time, joined["u"]
     (array([1., 2., 3.]), array([1.5, 2.5, 3.5]))
     """
+    own = _time(first)
     others = tuple(_by_clock_of(first, other) for other in others)
-    times = [_time(record) for record in (first, *others)]
+    times = [own, *map(_time, others)]
     start, stop = max(t[0] for t in times), min(t[-1] for t in times)
     rows = (times[0] >= start) & (times[0] <= stop)
     if rows.sum() < 2:
@@ -341,9 +342,10 @@ def join(first: Record, *others: Record) -> Record:
 
 def _by_clock_of(first: Record, other: Record) -> Record:
     """A record with the time of another one, where the clocks of both have dates."""
-    if other.time is None or other.begins is None or first.begins is None:
+    time = _time(other)
+    if other.begins is None or first.begins is None:
         return other
-    return replace(other, time=other.time + (other.begins - first.begins))
+    return replace(other, time=time + (other.begins - first.begins))
 
 
 def _label(record: Record) -> str:

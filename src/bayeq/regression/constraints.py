@@ -232,7 +232,7 @@ def parse_constraints(
                     stated[t].append(known)
                 continue
             difference = reader.read(left, where).plus(reader.read(right, where), -1.0)
-            if relation != "==":  # equalities contradict that its coefficient is 0
+            if relation != "==" or difference.constant != 0.0:  # else a coefficient that is 0 may be in an equality
                 _among(allowed, targets, target, difference.slopes, names, where)
             for t in [target] if target else targets:
                 if relation == "==":
@@ -314,7 +314,7 @@ def parse_conserved(text: str, chains: Sequence[Chain]) -> dict[int, float]:
 
 def _side_of(text: str, where: str) -> tuple[float, str, str]:
     """Factor, target and body of a side such as ``2*(a2: x2-x1)``."""
-    found = re.fullmatch(r"(?:([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*\*)?\s*(.*)", text.strip())
+    found = re.fullmatch(r"(?s)(?:([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*\*)?\s*(.*)", text.strip())
     assert found is not None
     number, rest = found[1], found[2]
     if rest.count("(") != rest.count(")"):
