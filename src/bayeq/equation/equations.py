@@ -383,16 +383,22 @@ class Equations(Answer):
         from bayeq.plan.designs import conditions_of
         from bayeq.plan.plan import plan_excitation
 
-        if self.roles.discrete:
-            raise InputError("a measurement is planned for equations of motion, not for maps: vary the inputs")
-        if not self.inputs:
-            raise InputError("the equations have no input: there is nothing to excite")
-        if any(chain.static for chain in self.chains):
-            raise InputError("a measurement is planned for equations of motion, not for static laws: vary the inputs")
-        if self.roles.hidden:
-            raise InputError("a measurement is planned for equations without hidden states: measure them too")
-        if self.roles.timed:
-            raise InputError("terms use t, the time: a measurement is planned for equations that do not depend on it")
+        heads = {equation.target for equation in self.equations}
+        refused = {
+            "a measurement is planned for equations of motion, not for maps: vary the inputs": self.roles.discrete,
+            "the equations have no input: there is nothing to excite": not self.inputs,
+            "a measurement is planned for equations of motion, not for static laws: vary the inputs": any(
+                chain.static for chain in self.chains
+            ),
+            "a measurement is planned for equations without hidden states: measure them too": bool(self.roles.hidden),
+            "terms use t, the time: a measurement is planned for equations that do not depend on it": self.roles.timed,
+            "a measurement is planned for equations whose terms hold no highest derivatives": any(
+                term.names & heads for equation in self.equations for term in equation.terms
+            ),
+        }
+        for why, holds in refused.items():
+            if holds:
+                raise InputError(why)
         if not all(equation.models for equation in self.equations):
             raise InputError("the likeliest models are not in the file of the equations: find and save them again")
         if self.verdict.kind == "none":
