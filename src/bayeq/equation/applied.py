@@ -193,6 +193,7 @@ def apply_to(equations: Equations, records: Sequence[Record], draws: int = 200, 
         one_step = {
             target: _single_step(equations, k, pieces, error)
             for k, (target, error) in enumerate(scores.one_step.items())
+            if not equations.equations[k].chain.hidden  # whose samples are the equation's own
         }
         motion = estimate_motion(pieces, equations.roles, equations.smooth, sensors=equations.data.sensors)
         windows = window_errors(equations.dynamics(), replace(motion, courses=equations.data.interpolation))
