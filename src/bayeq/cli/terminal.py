@@ -248,6 +248,10 @@ class Outputs:
             raise InputError("--explain explains the text, and --json prints none; leave one of them out")
         if self.refine and options.get("target"):
             raise InputError("--refine: output error is of free runs, which static laws (--target) do not have")
+        moving = any(options.get(name) for name in ("chains", "displacement", "velocity", "acceleration"))
+        asked = "--physical" if self.physical else "--forecast" if self.forecast is not None else None
+        if asked and options.get("target") and not moving:
+            raise InputError(f"{asked}: static laws (--target) have no motion; leave it out")
         if (self.refine or self.physical) and options.get("discrete"):
             raise InputError(f"--{'refine' if self.refine else 'physical'}: not of maps (--discrete); leave it out")
         seen: dict[Path, str] = {}
