@@ -318,6 +318,15 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
         why = equation.verdict.reason.partition(", though")[0].partition(" (")[0]
         why = why.replace("started from a measured state the equation is", "free runs are")
         log.warn(f"{target}: {why}; check the channels", DataWarning)
+    else:  # of no equation no terms are shown
+        _warn_of_rivals(equation, selection, log)
+    _warn_of_residuals(equation, selection, log)
+    _warn_of_hidden_noise(equation, regression=selection.shown_fit.regression, log=log)
+
+
+def _warn_of_rivals(equation: Equation, selection: Selection, log: WarningLog) -> None:
+    """Record which other terms may be in."""
+    target = equation.target
     found = selection.fit.posterior
     optimum = found.details.optimum
     if optimum is not None and bool((optimum != found.support).any()):
@@ -345,8 +354,6 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
     elif swaps:
         listed = some_of([f"{r} (odds {r.odds})" for r in swaps], 30, "; ")
         log.warn(f"{target}: the record cannot tell terms apart: {listed}; {TELL_APART}", AmbiguityWarning)
-    _warn_of_residuals(equation, selection, log)
-    _warn_of_hidden_noise(equation, regression=selection.shown_fit.regression, log=log)
 
 
 def _warn_of_residuals(equation: Equation, selection: Selection, log: WarningLog) -> None:
