@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 import bayeq as bq
@@ -59,6 +59,8 @@ def test_units_of_the_channels_do_not_matter(exponents):
 @given(exponents=st.lists(st.integers(-9, 9), min_size=4, max_size=4))
 def test_decimal_units_of_smoothed_channels_do_not_matter(exponents):
     # the smoother relates channels to each other, whose units need not belong together: mm beside m/s
+    # 2 % from these is an acceleration in g, which the record cannot tell from them and which is the likelier unit
+    assume(exponents[2] - exponents[1] not in (-1, -3, -4, -7))
     assert_same_in_units(True, exponents, smooth="auto", pip=1e-2, coef=1e-3)
     assert_same_in_units(False, exponents, smooth="auto")
 
