@@ -153,8 +153,7 @@ class Question:
         _require_unambiguous(self.terms, measured, self.roles)
         step("states", 0, 1)
         motion, pieces = self._motion(measured, log, whole)
-        changing = change_of(self.conserve, self.conserved, motion) if self.conserved else None
-        if changing is not None:
+        if self.conserved and (changing := change_of(self.conserve, self.conserved, motion)):
             return replace(self, conserve="", conserved={}).answer(records, whole, changing)
         before = len(log.collected)
         units = _units(pieces, motion.roles, log)
@@ -165,16 +164,9 @@ class Question:
         design = self._design(motion, terms, allowed, whole)
         warn_of_terms(design, log)
         warn_of_zero(design, pieces, log)
-        constrained = _constrained(known, design, self.method)
 
         step("likelihood", 0, 1)
-        record, tied, known = self._record(design, constrained, known, log, others)
-        constrained = _constrained(known, design, self.method)
-        if (tied or any(one.stated for one in constrained)) and (record is None or whole is not None):
-            raise InputError(
-                "constraints: ~, ties between equations and conserved sums are taken by the likelihood of the record in"
-                " memory: use smooth='auto', and choose rows (--rows) of a long file"
-            )
+        record, known, constrained = self._record(design, known, log, others, whole is None)
         if record is None and motion.smoothed:
             log.warn(NO_LIKELIHOOD, DataWarning)
         if record is None and self.tails == "student":
@@ -263,36 +255,44 @@ class Question:
     def _record(
         self,
         design: Design,
-        constrained: Sequence[Constraints],
         known: Sequence[str],
         log: WarningLog,
         others: Sequence[Motion],
-    ) -> tuple[RecordFit | None, bool, tuple[str, ...]]:
-        """The likelihood of the records, whether ties between equations were asked for, and what is known that holds.
+        in_memory: bool,
+    ) -> tuple[RecordFit | None, tuple[str, ...], tuple[Constraints, ...]]:
+        """The likelihood of the records, and what is known that holds, as text and of each equation.
 
-        It is compared with that without ties, in an equation too, which is taken where the record contradicts them.
+        It is compared with that without ties, in an equation too, which is taken where the record contradicts them. An
+        InputError says that only the likelihood of records in memory takes what is known.
         """
+        constrained = _constrained(known, design, self.method)
         dropped = {term.name: term.reason for term in design.dropped}
         ties = parse_ties(known, design.terms, design.motion.roles.targets, dropped, design.allowed)
         asked = partial(self._likelihood, design, others=other_designs(design, others))
-        if self.conserved:
-            return asked(constraints=constrained, conserved=self.conserved), True, tuple(known)
-        warn_of_sums(design, log)
-        refused = [text for text in known if "==" in text]
+        refused = [] if self.conserved else [text for text in known if "==" in text]
         left = tuple(text for text in known if text not in refused)
-        free = asked(constraints=_constrained(left, design, self.method) if refused else constrained)
+        without = _constrained(left, design, self.method) if refused else constrained
+        if not self.conserved:
+            warn_of_sums(design, log)
+        free = asked(constraints=without, conserved=self.conserved or None)
+        needed = bool(self.conserved or ties) or any(one.stated for one in constrained)
+        if needed and (free is None or not in_memory):
+            raise InputError(
+                "constraints: ~, ties between equations and conserved sums are taken by the likelihood of the record in"
+                " memory: use smooth='auto', and choose rows (--rows) of a long file"
+            )
         if not refused or free is None:
-            return free, bool(ties), tuple(known)
+            return free, tuple(known), constrained
         record = asked(constraints=constrained, ties=[Stated(parts, value, 0.0) for _, parts, value in ties])
         lost = math.inf if record is None else free.of_motion - record.of_motion
         if lost < CONTRADICTED:
-            return record, bool(ties), tuple(known)
+            return record, tuple(known), constrained
         log.warn(
             f"the record contradicts {some_of(refused, 40, '; ')} (odds {odds_text(-lost)}): shown without;"
             " check factors",
             DataWarning,
         )
-        return free, bool(ties), left
+        return free, left, without
 
     def _by_record(self, records: Sequence[Record], whole: Whole | None) -> tuple[Question, list[Record]]:
         """The question with a candidate difference of each coefficient that may differ, and numbered records."""

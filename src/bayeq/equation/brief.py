@@ -74,6 +74,7 @@ def brief(eq: Answer) -> str:
         lines += _wrapped(printable(f"    {physical.note}"), "      ")
     if physical is not None and any(f" {text.MARK}" in line for line in lines):
         lines += _wrapped(f"    {text.MARK} {text.OVER_MODELS}", "      ")
+    above = len(lines)
     lines += ["", *_wrapped(checks(eq))]
     for one in eq.equations:
         which = f"{one.target}: " if len(eq.equations) > 1 else ""
@@ -85,9 +86,7 @@ def brief(eq: Answer) -> str:
     lines += [line for said in text.given_of(eq) for line in _wrapped(printable(said))]
     lines += _wrapped(text.source_of(eq, short=True))
     if len(lines) > MOST_LINES >= len(lines) - lines.count("") + 1:
-        lines.reverse()
-        lines.remove("")
-        lines.reverse()
+        del lines[above]
     return "\n".join(lines)
 
 

@@ -263,8 +263,7 @@ class Equation:
     @property
     def error_share(self) -> float | None:
         """Share of the target's standard deviation that the terms shown leave beside noise; None where not known."""
-        own = self.shown_posterior.projected
-        return None if own is None else own.error_share
+        return None if (own := self.shown_posterior.projected) is None else own.error_share
 
     @property
     def ci95(self) -> Floats:

@@ -257,13 +257,9 @@ def _given_terms(saved: Saved, given: Saved, like: Posterior | None = None) -> d
     """Of a posterior given its terms, beside the coefficients; what was not written is that of another one."""
     left_out = None if saved.get("intercept_included", True) else (saved["intercept"], saved["intercept_sd"])
     if like is not None:
-        known = {"center": like.constant.center, "target_mean": like.constant.mean}
-        given = {
-            **known,
-            "target_mean_variance": like.constant.variance,
-            "noise_variance": like.noise_variance,
-            **given,
-        }
+        own = like.constant
+        known = {"center": own.center, "target_mean": own.mean, "target_mean_variance": own.variance}
+        given = {**known, "noise_variance": like.noise_variance, **given}
     constant = Constant(
         np.array(given["center"], dtype=np.float64),
         given["target_mean"],

@@ -186,10 +186,8 @@ def mixture_of(fit: RegressionFit, reported: Posterior, struck: Bools | None = N
         assert whole.draws is not None
         z, theta = (values.reshape(-1, len(whole.names)) for values in (whole.draws.z, whole.draws.theta))
         inside = np.vstack([z.T > 0, np.ones(len(z), dtype=np.bool_)])
-        mean, share = (
-            np.vstack([theta.T, whole.constant.mean - theta @ whole.constant.center]),
-            np.full(len(z), 1.0 / len(z)),
-        )
+        mean = np.vstack([theta.T, whole.constant.mean - theta @ whole.constant.center])
+        share = np.full(len(z), 1.0 / len(z))
         sd = np.zeros(mean.shape)
         sd[-1] = np.sqrt(_mean_variance(reported))
     else:
