@@ -31,7 +31,7 @@ from scipy.interpolate import CubicSpline
 from threadpoolctl import threadpool_limits
 
 import bayeq as bq
-from bayeq.ode.rk4 import Drive, free_runs, interpolant, shoot
+from bayeq.numerics.rk4 import Drive, free_runs, interpolant, shoot
 from perf.timing import medians
 
 RESULTS = Path(__file__).parent / "results" / "forecast.csv"

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bayeq as bq
-from bayeq.gram.lazy import grams_of
 from bayeq.inference.auto import spike_slab_auto
+from bayeq.inference.lazy_gram import grams_of
 from bayeq.inference.stlsq import sweep_stlsq
 from perf.problems import Fitted
 

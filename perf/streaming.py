@@ -80,7 +80,7 @@ def syrk_rate(workers: int) -> float:
 def measure(path: Path, smooth: str, workers: int) -> dict[str, object]:
     """One line: a whole `discover` of a file, and of that the passes over its rows."""
     from bayeq.discovery import discover
-    from bayeq.streaming import work as summing
+    from bayeq.discovery.streaming import work as summing
 
     spent: dict[str, float] = {}
     whole = summing.fold
@@ -95,7 +95,7 @@ def measure(path: Path, smooth: str, workers: int) -> dict[str, object]:
         finally:
             spent[stage] = spent.get(stage, 0.0) + clock.perf_counter() - began
 
-    from bayeq.streaming import whole as streaming
+    from bayeq.discovery.streaming import whole as streaming
 
     streaming.fold = timed  # type: ignore[assignment]
     before = syrk_rate(workers)

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from scipy.special import expit, gammaln, logit, xlogy
 
 from bayeq.dictionary import Variables, build_dictionary, evaluate_terms
-from bayeq.gram import Gram
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import greedy_model
+from bayeq.inference.gram import Gram
 from bayeq.inference.prior import Prior
 from bayeq.inference.rvm import rvm
 from bayeq.inference.vb import spike_slab_vb

@@ -25,10 +25,10 @@ from numpy.typing import NDArray
 from bayeq.cli.terminal import Progress
 from bayeq.dictionary import Variables, build_dictionary, evaluate_terms
 from bayeq.equation.equation import Z95
-from bayeq.gram import Gram
 from bayeq.inference.bma import sample_average, spike_slab_bma
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.gibbs import spike_slab_gibbs
+from bayeq.inference.gram import Gram
 from bayeq.inference.posterior import Draws, Posterior
 from bayeq.inference.prior import Prior
 from bayeq.numerics.settings import INFERENCE

@@ -44,7 +44,7 @@ CHANNELS = "--disp x --vel v --acc a --force u --dictionary x,v,x**3,u --smooth 
 BAYEQ = """
 import sys
 from bayeq.records.formats import text
-from bayeq.streaming import checkpoint
+from bayeq.discovery.streaming import checkpoint
 from bayeq.cli.process import run
 text.UNIT_ROWS, checkpoint.EVERY = 4000, 0.0
 sys.exit(run())

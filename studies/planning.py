@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from bayeq.discovery import discover
 from bayeq.equation.equations import Equations
+from bayeq.equation.plan.designs import EXCITATIONS
 from bayeq.errors import BayeqWarning
-from bayeq.plan.designs import EXCITATIONS
 from bayeq.records import Record
 from bayeq.systems import simulate
 from studies.lines import print_table

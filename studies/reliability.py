@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from bayeq.cli.terminal import Progress
 from bayeq.dictionary import Variables, build_dictionary, evaluate_terms
 from bayeq.figures.style import BLACK, BLUE, ORANGE, new_panels, save, style
-from bayeq.gram import Gram
 from bayeq.inference.bma import spike_slab_bma
+from bayeq.inference.gram import Gram
 from bayeq.inference.prior import Prior
 from bayeq.inference.vb import spike_slab_vb
 from bayeq.study.config import STUDY_SYSTEMS, StudyConfig

@@ -15,12 +15,12 @@ from scipy.stats import kstest
 
 import bayeq as bq
 from bayeq.equation.brief import brief
+from bayeq.equation.selection.alternatives import Alternatives, alternatives_to
+from bayeq.equation.selection.excitation import Repeating
 from bayeq.equation.verdict import KINDS, Verdict, doubted, worst
 from bayeq.likelihood.adequacy import Adequacy, Change, Discrepancy, Octave, chance_of, octaves_of, turn_of
 from bayeq.likelihood.low_pass import feedback, mean_spectrum, spectrum_of, step_variance
 from bayeq.numerics.distributions import incomplete_beta
-from bayeq.selection.alternatives import Alternatives, alternatives_to
-from bayeq.selection.excitation import Repeating
 from bayeq.states import Roles
 from tests.draws import draws
 

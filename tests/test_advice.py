@@ -68,7 +68,7 @@ def test_messages_are_found():
     assert {where.split(":")[0] for where, _ in MESSAGES} >= {
         "discovery/question.py",
         "equation/build.py",
-        "refine/refine.py",
+        "equation/refine/refine.py",
     }
 
 

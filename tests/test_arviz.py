@@ -14,8 +14,8 @@ import bayeq as bq
 from bayeq import SpikeSlabBMA, SpikeSlabGibbs
 from bayeq.adapters.arviz import convergence, to_arviz
 from bayeq.errors import InputError, MissingExtraError
-from bayeq.gram import Gram
 from bayeq.inference.gibbs import spike_slab_gibbs
+from bayeq.inference.gram import Gram
 from tests import reference
 
 

@@ -7,13 +7,13 @@ import pytest
 from scipy import stats
 
 from bayeq import SpikeSlabBMA
-from bayeq.gram import Gram
 from bayeq.inference.auto import spike_slab_auto
 from bayeq.inference.bma import sample_average, spike_slab_bma
 from bayeq.inference.collapsed.listing import enumerate_models, search_models
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import log_constant
 from bayeq.inference.gibbs import spike_slab_gibbs
+from bayeq.inference.gram import Gram
 from bayeq.inference.posterior import MOVED
 from bayeq.inference.prior import Prior
 from bayeq.inference.vb import spike_slab_vb

@@ -15,9 +15,9 @@ import bayeq as bq
 from bayeq.cli.app import main
 from bayeq.errors import BayeqWarning, InputError, UnknownNameError
 from bayeq.expressions import parse
-from bayeq.gram import Gram
 from bayeq.inference.bma import sample_average, spike_slab_bma
 from bayeq.inference.collapsed.problem import Problem
+from bayeq.inference.gram import Gram
 from bayeq.inference.prior import Prior, half_lines
 from bayeq.inference.signs import Orthants, truncated
 from bayeq.regression.constraints import parse_constraints

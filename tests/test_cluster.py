@@ -20,12 +20,12 @@ import pytest
 
 import bayeq as bq
 from bayeq.cli.app import main
+from bayeq.discovery.streaming.cluster import Cluster, connected
+from bayeq.discovery.streaming.work import AsMeasured, Extent, Threads, fold, units_of
 from bayeq.errors import BayeqError, InputError, MissingExtraError, RecordError, UnknownNameError
 from bayeq.expressions import parse
 from bayeq.records.stream import RecordStream, open_streams
 from bayeq.states import Roles
-from bayeq.streaming.cluster import Cluster, connected
-from bayeq.streaming.work import AsMeasured, Extent, Threads, fold, units_of
 from bayeq.study.runner import Store, run_study
 
 dask = pytest.importorskip("dask", reason="needs the extra dask")
@@ -165,8 +165,8 @@ def test_long_lists_of_records_are_sent_and_short_ones_are_not(record, client, e
 
 @pytest.mark.slow
 def test_the_likelihood_of_all_rows_is_that_of_threads(path, client, monkeypatch):
-    monkeypatch.setattr("bayeq.streaming.work.ROWS_EACH", 300)
-    monkeypatch.setattr("bayeq.streaming.whole.BLOCK_ROWS", 3000)
+    monkeypatch.setattr("bayeq.discovery.streaming.work.ROWS_EACH", 300)
+    monkeypatch.setattr("bayeq.discovery.streaming.whole.BLOCK_ROWS", 3000)
     (stream,) = open_streams([path])
     rows = [Extent(stream, 0, 6001)]  # a unit of one row says nothing
     found, here = (quietly(rows, smooth="auto", client=who) for who in (client, None))
@@ -252,7 +252,7 @@ def test_what_cannot_be_read_by_a_cluster_is_refused(frame, client, path):
 
 
 def test_workers_of_another_version_are_refused(client, monkeypatch):
-    monkeypatch.setattr("bayeq.streaming.cluster.version", lambda _: "9.9")
+    monkeypatch.setattr("bayeq.discovery.streaming.cluster.version", lambda _: "9.9")
     monkeypatch.setattr(client, "run", lambda *_: {"tcp://node7:4000": "0.1.0"})
     with pytest.raises(InputError, match=r"node7:4000 has bayeq 0.1.0, here it is 9.9: install the same"):
         Cluster(client)
@@ -261,18 +261,18 @@ def test_workers_of_another_version_are_refused(client, monkeypatch):
 @pytest.mark.slow
 def test_a_cluster_without_workers_is_not_waited_for_for_ever(folder, monkeypatch):
     with local(0, folder) as client:
-        monkeypatch.setattr("bayeq.streaming.cluster.JOIN", 0.2)
+        monkeypatch.setattr("bayeq.discovery.streaming.cluster.JOIN", 0.2)
         with pytest.raises(InputError, match=r"no worker has joined the cluster in 0\.2 s: start some"):
             Cluster(client)
-        monkeypatch.setattr("bayeq.streaming.cluster._require_workers", lambda _: None)
-        monkeypatch.setattr("bayeq.streaming.cluster.LOOK", 0.1)
-        monkeypatch.setattr("bayeq.streaming.cluster.COME_BACK", 0.3)
+        monkeypatch.setattr("bayeq.discovery.streaming.cluster._require_workers", lambda _: None)
+        monkeypatch.setattr("bayeq.discovery.streaming.cluster.LOOK", 0.1)
+        monkeypatch.setattr("bayeq.discovery.streaming.cluster.COME_BACK", 0.3)
         with pytest.raises(BayeqError, match="all workers of the cluster have gone"):
             list(Cluster(client).unordered(abs, [1]))
 
 
 def test_addresses_where_nobody_answers_are_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("bayeq.streaming.cluster.ANSWER", 0.5)
+    monkeypatch.setattr("bayeq.discovery.streaming.cluster.ANSWER", 0.5)
     (tmp_path / "odd.json").write_text("[1]")
     for address, message in (
         ("tcp://127.0.0.1:9", "no Dask scheduler answers"),

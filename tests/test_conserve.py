@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 import bayeq as bq
 from bayeq.cli.app import main
 from bayeq.errors import BayeqWarning, InputError, TermWarning, UnknownNameError
-from bayeq.gram import Gram
 from bayeq.inference.bma import spike_slab_bma
+from bayeq.inference.gram import Gram
 from bayeq.inference.prior import Prior
 from bayeq.likelihood.steps import Flows
 from bayeq.regression.constraints import parse_conserved

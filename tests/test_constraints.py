@@ -16,10 +16,10 @@ from bayeq.cli.app import main
 from bayeq.dictionary import Variables, build_dictionary
 from bayeq.errors import ExpressionError, InputError, UnknownNameError
 from bayeq.expressions import parse
-from bayeq.gram import Gram
 from bayeq.inference.bma import spike_slab_bma
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.gibbs import spike_slab_gibbs
+from bayeq.inference.gram import Gram
 from bayeq.inference.prior import Prior, signs_of
 from bayeq.regression.constraints import parse_constraints
 from bayeq.regression.equalities import Equalities

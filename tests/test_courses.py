@@ -14,10 +14,10 @@ from studies.forces import draw_record
 
 import bayeq as bq
 from bayeq.equation.applied import apply_to
+from bayeq.equation.selection.excitation import repeating
 from bayeq.errors import BayeqWarning
 from bayeq.expressions import parse
 from bayeq.likelihood import courses
-from bayeq.selection.excitation import repeating
 from bayeq.states import Roles, estimate_motion
 
 

@@ -8,7 +8,7 @@ import pytest
 import bayeq as bq
 from bayeq.dictionary import Variables, build_dictionary, evaluate_terms
 from bayeq.errors import InputError
-from bayeq.gram import Gram
+from bayeq.inference.gram import Gram
 from bayeq.regression import design as design_module
 from bayeq.regression.design import build_design
 from bayeq.states import Roles, estimate_motion, parse_chains

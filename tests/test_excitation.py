@@ -8,7 +8,7 @@ from studies.adverse_records import CASES, draw_record
 
 import bayeq as bq
 from bayeq.dictionary import Variables, build_dictionary
-from bayeq.selection.excitation import repeating
+from bayeq.equation.selection.excitation import repeating
 from bayeq.states import Roles, estimate_motion
 
 

@@ -17,7 +17,7 @@ from bayeq.errors import BayeqWarning, InputError, MissingExtraError, RecordErro
 from bayeq.expressions import Tape, parse
 from bayeq.forecast.dynamics import finest_step, normal_draws
 from bayeq.inference.posterior import Constant
-from bayeq.ode.rk4 import Drive, free_runs, interpolant
+from bayeq.numerics.rk4 import Drive, free_runs, interpolant
 from tests.simulated import FS, coarse
 
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from bayeq.errors import InputError
-from bayeq.gram import Gram
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import greedy_start
 from bayeq.inference.gibbs import multivariate_rhat, sample_chain, sample_posterior, spike_slab_gibbs
+from bayeq.inference.gram import Gram
 from bayeq.inference.prior import Prior
 from tests import reference
 

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bayeq.errors import InputError
-from bayeq.gram.gram import BLOCK_ROWS, SMALL, Gram, dense, grams_from_blocks, grams_from_data
-from bayeq.gram.products import add_products, block_for, shifted_products
+from bayeq.inference.gram import BLOCK_ROWS, SMALL, Gram, dense, grams_from_blocks, grams_from_data
+from bayeq.inference.gram_products import add_products, block_for, shifted_products
 from bayeq.inference.posterior import Constant, Details, Posterior
 from tests.draws import draws
 from tests.reference import centred

@@ -7,13 +7,13 @@ import pytest
 
 import bayeq as bq
 from bayeq.errors import InputError
-from bayeq.gram.gram import Gram, dense
-from bayeq.gram.lazy import LEAST_COLUMNS, LazyGram, grams_of
 from bayeq.inference.auto import spike_slab_auto
 from bayeq.inference.bma import spike_slab_bma
 from bayeq.inference.collapsed.problem import Problem, fetch, gram_row
 from bayeq.inference.collapsed.search import best_models
 from bayeq.inference.gibbs import spike_slab_gibbs
+from bayeq.inference.gram import Gram, dense
+from bayeq.inference.lazy_gram import LEAST_COLUMNS, LazyGram, grams_of
 from bayeq.inference.prior import Prior
 from bayeq.inference.vb import spike_slab_vb
 

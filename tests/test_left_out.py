@@ -13,7 +13,7 @@ import bayeq as bq
 from bayeq.equation.applied import apply_to
 from bayeq.forecast.free_run import drawn_sines, pushed
 from bayeq.likelihood.projection import LINES, lines_of_equal_power
-from bayeq.ode.rk4 import Drive
+from bayeq.numerics.rk4 import Drive
 
 TERMS = ["x", "v", "x**3", "u"]
 HOW = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u", "dictionary": TERMS}

@@ -15,10 +15,10 @@ import bayeq as bq
 from bayeq.cli.app import main
 from bayeq.equation.intervals import unlike
 from bayeq.equation.text import MARK, OVER_MODELS
-from bayeq.gram import Gram
 from bayeq.inference.bma import sample_average, spike_slab_bma
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.slab import exact_posterior
+from bayeq.inference.gram import Gram
 from bayeq.inference.posterior import Mixture, ModelAverage
 from bayeq.inference.prior import Prior
 from bayeq.regression.fit import mixture_of

@@ -14,12 +14,12 @@ import bayeq as bq
 from bayeq.cli.app import main
 from bayeq.equation.size_path import parsimony_path
 from bayeq.errors import DataWarning, InputError
-from bayeq.gram import Gram
 from bayeq.inference.collapsed import path as by_size
 from bayeq.inference.collapsed.path import best_of_each_size, model_log_posterior, partial_shares
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import log_evidence, neighbours
 from bayeq.inference.collapsed.slab import exact_posterior
+from bayeq.inference.gram import Gram
 from bayeq.inference.prior import Prior, half_lines
 from tests import reference
 

@@ -11,12 +11,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import bayeq as bq
+from bayeq.equation.plan.designs import EXCITATIONS, Measured, conditions_of
+from bayeq.equation.plan.information import (
+    CandidateModel,
+    coefficient_gain,
+    seconds_to_halve,
+    seconds_until,
+    unexplained,
+)
+from bayeq.equation.plan.plan import plan_excitation
 from bayeq.errors import DataWarning, InputError
 from bayeq.expressions import Evaluator, parse
 from bayeq.inference.posterior import Constant, Details, Posterior
-from bayeq.plan.designs import EXCITATIONS, Measured, conditions_of
-from bayeq.plan.information import CandidateModel, coefficient_gain, seconds_to_halve, seconds_until, unexplained
-from bayeq.plan.plan import plan_excitation
 from bayeq.states import Chain, parse_chain
 from tests.draws import draws
 

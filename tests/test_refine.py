@@ -14,12 +14,12 @@ from scipy.optimize import least_squares
 from studies.refinement import CASES, draw_record, measure_case, measure_record
 
 import bayeq as bq
+from bayeq.equation.refine import refine as refining
+from bayeq.equation.refine.output_error import Known, _excess, output_error
 from bayeq.errors import BayeqWarning, ConvergenceWarning, DataWarning, InputError, RecordError
 from bayeq.forecast.free_run import typical_period, window_runs
 from bayeq.forecast.rows import divided, rows_of
-from bayeq.ode.rk4 import Drive, interpolant, shoot
-from bayeq.refine import refine as refining
-from bayeq.refine.output_error import Known, _excess, output_error
+from bayeq.numerics.rk4 import Drive, interpolant, shoot
 from bayeq.states import estimate_motion
 from tests.data import measured
 from tests.simulated import coarse
@@ -408,7 +408,7 @@ def test_a_start_that_follows_nothing_is_returned(eq, record):
 
 
 def test_a_limit_of_steps_is_reported(eq, record, monkeypatch):
-    monkeypatch.setattr("bayeq.refine.output_error.STEP", 0.0)
+    monkeypatch.setattr("bayeq.equation.refine.output_error.STEP", 0.0)
     with pytest.warns(ConvergenceWarning, match="did not converge"):
         after = eq.refine(record.slice(0, 200), holdout=0.0)
     assert not after.refined.converged

@@ -15,10 +15,10 @@ from scipy.stats import truncnorm
 
 import bayeq as bq
 from bayeq.cli.app import main
+from bayeq.equation.refine.output_error import Known, _bounded
 from bayeq.errors import BayeqWarning, DataWarning, FileFormatError, InputError
 from bayeq.inference.prior import Prior, half_lines
 from bayeq.inference.signs import truncated
-from bayeq.refine.output_error import Known, _bounded
 from bayeq.regression.constraints import parse_constraints
 from tests.draws import draws
 from tests.simulated import coarse

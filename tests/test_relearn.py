@@ -36,15 +36,15 @@ def whole(record):
 
 def test_levels_and_corners_are_those_of_all_rows(record, whole, monkeypatch):
     monkeypatch.setattr("bayeq.discovery.entry.MOST_ROWS", 10_000)
-    monkeypatch.setattr("bayeq.streaming.work.ROWS_EACH", 150)
-    monkeypatch.setattr("bayeq.streaming.whole.BLOCK_ROWS", 4000)
+    monkeypatch.setattr("bayeq.discovery.streaming.work.ROWS_EACH", 150)
+    monkeypatch.setattr("bayeq.discovery.streaming.whole.BLOCK_ROWS", 4000)
     started = []
 
     def noted(task, state, *more):
         started.append((task, state))
         return relearned(task, state, *more)
 
-    monkeypatch.setattr("bayeq.streaming.whole.relearned", noted)
+    monkeypatch.setattr("bayeq.discovery.streaming.whole.relearned", noted)
     found, equation = fitted(record)
     task, state = started[0]
     # variances from 3,000 samples have a relative standard deviation of 2.6 %, those from 12,000 of 1.3 %

@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayeq.gram import Gram
 from bayeq.inference.collapsed.problem import gram_columns
+from bayeq.inference.gram import Gram
 from bayeq.inference.rvm import rvm, rvm_ascent
 from tests import reference
 

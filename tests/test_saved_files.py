@@ -13,17 +13,17 @@ import pytest
 
 import bayeq as bq
 from bayeq.equation.equation import RunnerUp
+from bayeq.equation.plan.designs import Measured
+from bayeq.equation.plan.information import CandidateModel
+from bayeq.equation.refine.refine import Refinement
 from bayeq.equation.schema import BOUNDS, TYPES, first_fault, json_schema
+from bayeq.equation.selection.select import LeftOut
 from bayeq.equation.verdict import Verdict
 from bayeq.errors import BayeqError, FileFormatError
 from bayeq.forecast.score import Scores
 from bayeq.inference.engines import ENGINES
-from bayeq.plan.designs import Measured
-from bayeq.plan.information import CandidateModel
-from bayeq.refine.refine import Refinement
 from bayeq.regression.design import DroppedTerm
 from bayeq.regression.residuals import Driver, Fit, Residuals
-from bayeq.selection.select import LeftOut
 from bayeq.states import Sensors
 
 VALUES = (

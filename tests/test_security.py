@@ -46,7 +46,7 @@ ATTRIBUTES = {
     "ctypes": {"CDLL"},
 }
 # The local page, the address of a cluster that the user names, and the name of this machine.
-LISTENS = {"app/server.py", "streaming/cluster.py", "resumable/store.py"}
+LISTENS = {"app/server.py", "discovery/streaming/cluster.py", "resumable/store.py"}
 ANYWHERE = {"sympify", "parse_expr", "lambdify", "eval", "read_pickle"}
 
 

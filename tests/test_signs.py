@@ -10,11 +10,11 @@ from scipy import integrate, stats
 
 from bayeq import SpikeSlabBMA
 from bayeq.errors import DataWarning, InputError
-from bayeq.gram import Gram
 from bayeq.inference.auto import spike_slab_auto
 from bayeq.inference.bma import sample_average, spike_slab_bma
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.engines import ENGINES
+from bayeq.inference.gram import Gram
 from bayeq.inference.prior import SIGNED, Prior
 from bayeq.inference.signs import Orthants
 from bayeq.numerics.settings import INFERENCE, overridden

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from bayeq.gram import Gram
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.slab import given_model, learn_slab_variance, residual_scale
+from bayeq.inference.gram import Gram
 from bayeq.inference.prior import Prior
 from tests import reference
 

@@ -9,7 +9,7 @@ import pytest
 import bayeq as bq
 from bayeq.dictionary import Variables, build_dictionary, evaluate_terms
 from bayeq.errors import InputError
-from bayeq.gram import Gram
+from bayeq.inference.gram import Gram
 from bayeq.inference.stlsq import least_squares, stlsq, sweep_stlsq
 from tests import reference
 

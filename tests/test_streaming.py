@@ -15,13 +15,24 @@ from hypothesis import strategies as st
 import bayeq as bq
 from bayeq.cli.app import main
 from bayeq.discovery.entry import extents_of
+from bayeq.discovery.streaming.checkpoint import Checkpoint
+from bayeq.discovery.streaming.work import (
+    LAGS,
+    Extent,
+    Folded,
+    Lagged,
+    OfRows,
+    Threads,
+    fold,
+    fold_columns,
+    stretches,
+    units_of,
+)
 from bayeq.errors import FileFormatError, InputError, RecordError
 from bayeq.expressions import parse
-from bayeq.gram.gram import from_moments, grams_from_data
+from bayeq.inference.gram import from_moments, grams_from_data
 from bayeq.records.stream import RecordStream, open_streams, units_between
 from bayeq.regression.residuals import inspect_residuals
-from bayeq.streaming.checkpoint import Checkpoint
-from bayeq.streaming.work import LAGS, Extent, Folded, Lagged, OfRows, Threads, fold, fold_columns, stretches, units_of
 from tests.draws import draws
 
 OSCILLATOR = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u"}
@@ -41,7 +52,7 @@ def divide(patch, rows_each, unit=7000):
     for module in ("parquet", "text"):
         patch.setattr(f"bayeq.records.formats.{module}.UNIT_ROWS", unit)
     patch.setattr("bayeq.records.formats.protocol.grid.__defaults__", (unit,))
-    patch.setattr("bayeq.streaming.work.ROWS_EACH", rows_each)
+    patch.setattr("bayeq.discovery.streaming.work.ROWS_EACH", rows_each)
 
 
 @pytest.fixture(autouse=True)
@@ -295,8 +306,8 @@ def test_bad_samples_outside_of_the_stretches_are_counted(record, streamed, tmp_
 
 def test_any_number_of_threads_gives_the_same_bytes(record):
     extents = (Extent(RecordStream(record), 0, record.n),)
+    from bayeq.discovery.streaming.work import AsMeasured
     from bayeq.states import Roles
-    from bayeq.streaming.work import AsMeasured
 
     work = AsMeasured(extents, Roles.parse(**OSCILLATOR), tuple(TERMS), 0.2)
     sums = [fold(work, units_of(extents), Threads(k), lambda *_: None, "rows") for k in (1, 2, 5)]
@@ -305,7 +316,7 @@ def test_any_number_of_threads_gives_the_same_bytes(record):
 
 
 def test_stretches_are_spread_over_all_rows(record, monkeypatch):
-    monkeypatch.setattr("bayeq.streaming.work.ROWS_EACH", 2500)
+    monkeypatch.setattr("bayeq.discovery.streaming.work.ROWS_EACH", 2500)
     found = stretches([Extent(RecordStream(record), 0, 60_000), Extent(RecordStream(record), 0, 2000)])
     assert sum(one.n for one in found) <= 55_000
     assert found[0].time[0] == record.time[0]
@@ -363,10 +374,10 @@ def test_missing_samples_are_an_error_without_smoothing(record, tmp_path):
 
 
 def test_a_sum_that_is_kept_goes_on_where_it_was(record, tmp_path, monkeypatch):
+    from bayeq.discovery.streaming.work import AsMeasured
     from bayeq.states import Roles
-    from bayeq.streaming.work import AsMeasured
 
-    monkeypatch.setattr("bayeq.streaming.checkpoint.EVERY", 0.0)
+    monkeypatch.setattr("bayeq.discovery.streaming.checkpoint.EVERY", 0.0)
     extents = (Extent(RecordStream(record), 0, record.n),)
     work = AsMeasured(extents, Roles.parse(**OSCILLATOR), tuple(TERMS), 0.2)
     units = units_of(extents)
@@ -451,7 +462,7 @@ def test_a_damaged_sum_is_no_sum(content, tmp_path):
 
 
 def test_sums_of_a_run_that_is_through_are_removed(record, tmp_path, monkeypatch):
-    monkeypatch.setattr("bayeq.streaming.checkpoint.EVERY", 0.0)
+    monkeypatch.setattr("bayeq.discovery.streaming.checkpoint.EVERY", 0.0)
     path = written(record, tmp_path / "r.h5")
     quietly(path, stream=True, smooth="none", checkpoint=tmp_path / "sums")
     assert list((tmp_path / "sums").glob("*")) == []
@@ -558,7 +569,7 @@ def test_data_in_memory_is_not_streamed(record):
 @pytest.mark.slow  # against the answer of all rows: test_relearn
 def test_long_records_in_memory_have_the_likelihood_too(record, monkeypatch):
     monkeypatch.setattr("bayeq.discovery.entry.MOST_ROWS", 10_000)
-    monkeypatch.setattr("bayeq.streaming.work.ROWS_EACH", 150)
+    monkeypatch.setattr("bayeq.discovery.streaming.work.ROWS_EACH", 150)
     record = record.take(slice(0, 14_000))
     found = quietly(record, dictionary="x, v, x**2, x**3, u")
     assert (found.data.stretches, found.data.n) == (20, record.n)
@@ -570,7 +581,7 @@ def test_long_records_in_memory_have_the_likelihood_too(record, monkeypatch):
 def test_long_records_with_what_takes_whole_records_are_some_stretches(record, where, tmp_path, monkeypatch):
     monkeypatch.setattr("bayeq.discovery.entry.MOST_ROWS", 5000)
     monkeypatch.setattr("bayeq.records.stream.LARGE", 5000)
-    monkeypatch.setattr("bayeq.streaming.work.ROWS_EACH", 75)
+    monkeypatch.setattr("bayeq.discovery.streaming.work.ROWS_EACH", 75)
     rows = record.take(slice(0, 7000))
     asked = {"dictionary": "x, v, x**3, u, cos(3*t)"}
     found = quietly(rows if where == "in memory" else written(rows, tmp_path / "r.h5"), **asked)

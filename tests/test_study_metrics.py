@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bayeq.errors import InputError
-from bayeq.gram import Gram
+from bayeq.inference.gram import Gram
 from bayeq.study.runner import METRICS, Metrics, Result, measure, prediction_error
 from bayeq.study.table import LABELS, RUNTIMES, TABLE_2, aggregate, failure_messages, runtimes
 from tests.data import ROOT

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.expressions import Tape, parse
-from bayeq.ode.rk4 import Drive, free_runs, interpolant
+from bayeq.numerics.rk4 import Drive, free_runs, interpolant
 from bayeq.systems import BandLimitedForce, System, get_system, simulate
 from bayeq.systems.simulate import band_limited_noise
 

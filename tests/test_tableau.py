@@ -12,7 +12,6 @@ from scipy.stats import beta
 from bayeq.arrays import Bools, Ints
 from bayeq.dictionary import Variables, build_dictionary, evaluate_terms
 from bayeq.errors import InputError
-from bayeq.gram import Gram
 from bayeq.inference.collapsed.listing import enumerate_models, search_models
 from bayeq.inference.collapsed.problem import Columns, Problem
 from bayeq.inference.collapsed.search import best_models, log_evidence, neighbours
@@ -31,6 +30,7 @@ from bayeq.inference.collapsed.tableau import (
     swap_gains,
     swept,
 )
+from bayeq.inference.gram import Gram
 from bayeq.inference.prior import Prior
 from bayeq.kernels import kernel
 from tests import reference

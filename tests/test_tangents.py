@@ -7,7 +7,7 @@ import pytest
 
 import bayeq as bq
 from bayeq.expressions import FUNCTIONS, Tape, parse, run_tape
-from bayeq.ode.rk4 import Drive, interpolant, shoot
+from bayeq.numerics.rk4 import Drive, interpolant, shoot
 from tests.simulated import coarse
 
 UNARY = [name for name, one in FUNCTIONS.items() if one.arguments == (1, 1) and name != "acosh"]

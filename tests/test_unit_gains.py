@@ -14,7 +14,7 @@ import bayeq as bq
 from bayeq.errors import BayeqWarning, InputError
 from bayeq.forecast.free_run import typical_period
 from bayeq.forecast.rows import Rows
-from bayeq.ode.rk4 import interpolant
+from bayeq.numerics.rk4 import interpolant
 from bayeq.states import Roles, estimate_motion, parse_chain, rates, unit_gains
 from bayeq.states.sensors import _estimated
 

@@ -7,10 +7,10 @@ import pytest
 from scipy.special import logsumexp
 
 from bayeq.errors import InputError
-from bayeq.gram import Gram
 from bayeq.inference.auto import spike_slab_auto
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import greedy_model
+from bayeq.inference.gram import Gram
 from bayeq.inference.prior import Prior
 from bayeq.inference.rvm import rvm
 from bayeq.inference.vb import spike_slab_vb

@@ -23,14 +23,14 @@ _NAMES = {
     "equation.size_path": "ParsimonyPath",
     "estimators.regressors": "RVM STLSQ SpikeSlabBMA SpikeSlabGibbs SpikeSlabVB",
     "forecast.score": "Scores",
-    "refine.refine": "Refinement",
+    "equation.refine.refine": "Refinement",
     "forecast.free_run": "Forecast",
-    "gram": "Gram",
+    "inference.gram": "Gram",
     "inference.posterior": "Posterior",
     "inspection.contents": "RecordInfo",
     "inspection.info": "info",
     "inference.prior": "Prior",
-    "plan.result": "Plan",
+    "equation.plan.result": "Plan",
     "records": "Finding Record Truth check_record correct_delay join read remove_offset write",
     "systems": "SYSTEMS System simulate",
 }
@@ -53,14 +53,14 @@ if TYPE_CHECKING:  # the same names for type checkers; a test compares the two l
     from bayeq.estimators.regressors import RVM as RVM, STLSQ as STLSQ, SpikeSlabBMA as SpikeSlabBMA
     from bayeq.estimators.regressors import SpikeSlabGibbs as SpikeSlabGibbs, SpikeSlabVB as SpikeSlabVB
     from bayeq.forecast.score import Scores as Scores
-    from bayeq.refine.refine import Refinement as Refinement
+    from bayeq.equation.refine.refine import Refinement as Refinement
     from bayeq.forecast.free_run import Forecast as Forecast
-    from bayeq.gram import Gram as Gram
+    from bayeq.inference.gram import Gram as Gram
     from bayeq.inference.posterior import Posterior as Posterior
     from bayeq.inference.prior import Prior as Prior
     from bayeq.inspection.contents import RecordInfo as RecordInfo
     from bayeq.inspection.info import info as info
-    from bayeq.plan.result import Plan as Plan
+    from bayeq.equation.plan.result import Plan as Plan
     from bayeq.records import Finding as Finding, Record as Record, Truth as Truth, check_record as check_record
     from bayeq.records import correct_delay as correct_delay, join as join, read as read
     from bayeq.records import remove_offset as remove_offset

@@ -10,8 +10,8 @@ import numpy as np
 
 from bayeq.dictionary import Family, Variables
 from bayeq.errors import FileFormatError
-from bayeq.gram.gram import GramLike, dense
 from bayeq.inference.engines import Engine
+from bayeq.inference.gram import GramLike, dense
 from bayeq.inference.posterior import Constant, Details, Posterior
 from bayeq.inference.prior import Prior
 from bayeq.records.columns import Columns, Headers, Names, Select

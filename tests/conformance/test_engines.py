@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayeq.gram import Gram
 from bayeq.inference.engines import ENGINES
+from bayeq.inference.gram import Gram
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
 from tests import reference

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bayeq.equation.plan.designs import EXCITATIONS
 from bayeq.errors import InputError
-from bayeq.plan.designs import EXCITATIONS
 from tests.draws import draws
 
 pytestmark = pytest.mark.parametrize("kind", EXCITATIONS.values(), ids=list(EXCITATIONS))

@@ -79,7 +79,7 @@ def test_a_full_disk_keeps_no_sums_and_the_run_goes_on(run, folder, full_disk):
 def test_a_full_cache_is_done_without_in_silence(run, full_disk, monkeypatch):
     """What nobody asked for is missed by nobody."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(full_disk))
-    monkeypatch.setattr("bayeq.streaming.checkpoint.EVERY", 0.0)
+    monkeypatch.setattr("bayeq.discovery.streaming.checkpoint.EVERY", 0.0)
     fill(full_disk)
     code, out, err = run("discover", "run.csv", *QUICK, "--stream")
     assert (code, remarks(err)) == (0, [])

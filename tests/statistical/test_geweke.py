@@ -13,9 +13,9 @@ import pytest
 from scipy import stats
 
 from bayeq.arrays import Bools, Floats
-from bayeq.gram import Gram
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.gibbs import sample_chain
+from bayeq.inference.gram import Gram
 from bayeq.inference.prior import Prior
 from bayeq.kernels import kernel
 

@@ -18,7 +18,7 @@ from typing import Any
 
 from bayeq.app.session import LARGEST, Session, Workspace
 from bayeq.errors import InputError, needing
-from bayeq.posix import POSIX, on_signal
+from bayeq.resumable.posix import POSIX, on_signal
 
 # Of an upload, beside the file [bytes].
 AROUND = 100_000

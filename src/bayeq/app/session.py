@@ -22,7 +22,7 @@ from typing import Any
 
 from bayeq.app.choices import EQUATION, REPORT, Choices, discover_command
 from bayeq.errors import InputError
-from bayeq.posix import KILL, has_ended, is_of_this_user, signal_group
+from bayeq.resumable.posix import KILL, has_ended, is_of_this_user, signal_group
 
 # Folders begin so, the number of the process follows.
 _PREFIX = "bayeq-app-"

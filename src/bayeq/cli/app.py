@@ -33,7 +33,7 @@ from bayeq.errors import (
     one_line,
     printable,
 )
-from bayeq.posix import address_space
+from bayeq.resumable.posix import address_space
 
 if TYPE_CHECKING:
     from bayeq.inspection.contents import RecordInfo

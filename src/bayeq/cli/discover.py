@@ -253,7 +253,7 @@ def source_of(
         return records, records
     if refine:
         raise InputError("--refine runs over whole records: leave it out, or use some rows (--no-stream --rows A:B)")
-    from bayeq.streaming.work import of_channels, stretches
+    from bayeq.discovery.streaming.work import of_channels, stretches
 
     extents = of_channels(reading.extents(files, paths), used)
     return stretches(extents), extents

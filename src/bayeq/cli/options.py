@@ -79,7 +79,7 @@ def cluster_client(address: str | None) -> AbstractContextManager[Any]:
     """The client of the Dask cluster at an address; None where none is given."""
     if address is None:
         return nullcontext()
-    from bayeq.streaming.cluster import connected
+    from bayeq.discovery.streaming.cluster import connected
 
     return connected(address)
 

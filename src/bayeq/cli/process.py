@@ -11,7 +11,7 @@ import sys
 from types import FrameType
 
 from bayeq.cli.terminal import INTERRUPTED, say
-from bayeq.posix import alarm, on_signal
+from bayeq.resumable.posix import alarm, on_signal
 
 # Frames of an import have this file name.
 IMPORTING = "<frozen importlib._bootstrap>"

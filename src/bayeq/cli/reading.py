@@ -20,8 +20,8 @@ from bayeq.cli import options as opt
 from bayeq.errors import FileFormatError, InputError, UnknownNameError
 
 if TYPE_CHECKING:
+    from bayeq.discovery.streaming.work import Extent
     from bayeq.records import Record
-    from bayeq.streaming.work import Extent
 
 #: The argument that means standard input, and what messages call it.
 STANDARD_INPUT = Path("-")
@@ -131,8 +131,8 @@ class Reading:
 
         An InputError says which option takes whole records, which file cannot be read, or that rows are not there.
         """
+        from bayeq.discovery.streaming.work import Extent
         from bayeq.records.stream import open_streams
-        from bayeq.streaming.work import Extent
 
         given: dict[str, object] = {
             "--group": self.group, "--join": self.join, "--names": self.names, "--skip": self.skip,

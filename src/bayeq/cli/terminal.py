@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 import click
 
 from bayeq.errors import BayeqError, InputError
-from bayeq.posix import address_space
+from bayeq.resumable.posix import address_space
 
 if TYPE_CHECKING:
     from bayeq.equation.equations import Equations

@@ -15,7 +15,12 @@ from bayeq.adapters.pysindy.library import is_library, terms_of
 from bayeq.dictionary import Specification, Variables
 from bayeq.discovery.laws import check_scales, dictionaries_of, with_law_terms
 from bayeq.discovery.question import NotStreamed, Question
+from bayeq.discovery.streaming.checkpoint import Checkpoints, cache_folder
+from bayeq.discovery.streaming.cluster import Cluster, dask_streams, is_dask
+from bayeq.discovery.streaming.whole import Whole
+from bayeq.discovery.streaming.work import Executor, Extent, Threads, of_channels, stretches
 from bayeq.equation.equations import Equations
+from bayeq.equation.selection.select import Rules
 from bayeq.errors import (
     InputError,
     UnknownNameError,
@@ -34,14 +39,9 @@ from bayeq.records.stream import RecordStream, Stream, open_streams, streamed_un
 from bayeq.regression.constraints import parse_conserved, parse_constraints, parse_ties
 from bayeq.regression.joint import JOINT
 from bayeq.resumable import Progress, silent
-from bayeq.selection.select import Rules
 from bayeq.states import Roles, Smooth, Tails, check_sensors, with_laws
 from bayeq.states.derive import current
 from bayeq.states.sensors import share_of_reading
-from bayeq.streaming.checkpoint import Checkpoints, cache_folder
-from bayeq.streaming.cluster import Cluster, dask_streams, is_dask
-from bayeq.streaming.whole import Whole
-from bayeq.streaming.work import Executor, Extent, Threads, of_channels, stretches
 
 # Longer records in memory are taken in units, as large files are.
 MOST_ROWS = 200_000
@@ -133,7 +133,7 @@ def discover(
         deviation (`bayeq.likelihood.spike`). By default its size is learned from the record, where its likelihood is
         used, and is none for rows as measured; 0: the law is exact; above 0: the function is of this size, or larger.
         Of a law that is only nearly true terms are not shown without which free runs are worse by no more than this,
-        by default 0.5 % of the states' spread (`bayeq.selection.select`).
+        by default 0.5 % of the states' spread (`bayeq.equation.selection.select`).
     coarsen : float
         Power, above 0 and at most 1, that the likelihood is raised to: each row counts as this share of one (Miller
         and Dunson 2019). It widens all intervals and asks more evidence of a term, for models that are only nearly

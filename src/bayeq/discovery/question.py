@@ -21,10 +21,12 @@ from bayeq.discovery.cautions import (
     warn_of_zero,
 )
 from bayeq.discovery.laws import hidden_states, other_designs, with_differences, without_hidden
+from bayeq.discovery.streaming.whole import Whole
 from bayeq.equation.answer import DataSummary, EquationTuple, HiddenState
 from bayeq.equation.build import build_equations, with_doubts
 from bayeq.equation.equation import Equation
 from bayeq.equation.equations import Equations
+from bayeq.equation.selection.select import Rules, Selection, select
 from bayeq.equation.written import arguments_with_units, channel_units, in_radians, odds_text
 from bayeq.errors import DataWarning, InputError, RecordError, TermWarning, WarningLog, some_of
 from bayeq.expressions import Expression
@@ -43,7 +45,6 @@ from bayeq.regression.constraints import CONSERVED, Constraints, parse_constrain
 from bayeq.regression.design import Design, build_design, screened
 from bayeq.regression.joint import fit_equations, lags_of_design, record_of
 from bayeq.resumable import Progress
-from bayeq.selection.select import Rules, Selection, select
 from bayeq.states import (
     Motion,
     Roles,
@@ -60,7 +61,6 @@ from bayeq.states import (
 from bayeq.states.bad_samples import Learned
 from bayeq.states.motion import cut_at, held_out_share
 from bayeq.states.prepare import bridged_record, cleaned, divided_at_gaps, in_samples, require_enough, without_hum
-from bayeq.streaming.whole import Whole
 
 NO_LIKELIHOOD = (
     "the full fit failed, a simpler one was used: intervals and probabilities are less sure; give fewer terms"

@@ -15,13 +15,13 @@ from bayeq.errors import ConvergenceWarning, DataWarning, InputError
 from bayeq.forecast.free_run import Forecast, forecast
 from bayeq.forecast.rows import Courses
 from bayeq.forecast.score import Scores, score_records
-from bayeq.ode.rk4 import check_interpolation
+from bayeq.numerics.rk4 import check_interpolation
 from bayeq.records import Record
 from bayeq.states import Roles, Sensors, Smooth, estimate_motion
 from bayeq.states.prepare import cleaned, divided_at_gaps, has_all
 
 if TYPE_CHECKING:
-    from bayeq.ode.rk4 import Interpolation
+    from bayeq.numerics.rk4 import Interpolation
 
 Found = TypeVar("Found", bound=Answer)
 
@@ -134,8 +134,8 @@ def refinement(eq: Found, records: Sequence[Record], holdout: float, interpolati
     """See `Equations.refine`."""
     if eq.roles.hidden:
         raise InputError("refine needs every state measured: leave it out, the coefficients are those of all rows")
-    from bayeq.refine.output_error import Unrefined
-    from bayeq.refine.refine import refine
+    from bayeq.equation.refine.output_error import Unrefined
+    from bayeq.equation.refine.refine import refine
 
     check_interpolation(interpolation)
     if eq.roles.discrete:

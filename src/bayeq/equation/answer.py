@@ -14,18 +14,18 @@ from numpy.typing import ArrayLike
 from bayeq.arrays import Floats
 from bayeq.dictionary.ranges import ConstantEstimate
 from bayeq.equation.equation import Equation
+from bayeq.equation.export import Uncertainty
+from bayeq.equation.plan.designs import Measured
+from bayeq.equation.refine.refine import Refinement
 from bayeq.equation.verdict import Verdict, worst
 from bayeq.errors import InputError
-from bayeq.export.functions import Uncertainty
 from bayeq.expressions import Binary, Evaluator, Expression, Symbol
 from bayeq.expressions.functions import TIME
 from bayeq.forecast.score import Scores
 from bayeq.inference.posterior import Posterior
-from bayeq.ode.rk4 import Interpolation
-from bayeq.plan.designs import Measured
+from bayeq.numerics.rk4 import Interpolation
 from bayeq.records import Record, counts_rows
 from bayeq.records.names import rate_and_length
-from bayeq.refine.refine import Refinement
 from bayeq.regression.constraints import CONSERVED, Constraints, parse_constraints
 from bayeq.regression.design import DroppedTerm
 from bayeq.states import Chain, Motion, Roles, Sensors, Smooth
@@ -340,7 +340,7 @@ class Answer:
         MissingExtraError
             JAX is not installed.
         """
-        from bayeq.export.functions import to_callable
+        from bayeq.equation.export import to_callable
 
         return to_callable([equation.law for equation in self.equations], self.inputs, self.roles.timed, module)
 
@@ -359,7 +359,7 @@ class Answer:
         InputError
             Terms that the language cannot express.
         """
-        from bayeq.export.functions import to_code
+        from bayeq.equation.export import to_code
 
         return to_code([equation.law for equation in self.equations], self.inputs, self.roles.timed, language)
 
@@ -385,7 +385,7 @@ class Answer:
             In the unit of each state per second, also where the channels of a chain have units that do not belong
             together (see `Equation.unit_gains`). Where there are static laws alone: their targets.
         """
-        from bayeq.export.functions import derivatives
+        from bayeq.equation.export import derivatives
 
         values = _numbers(state, "the state")
         if values.shape != (len(self.states),):

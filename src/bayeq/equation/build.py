@@ -11,6 +11,10 @@ import numpy as np
 from bayeq.dictionary import slopes_of
 from bayeq.equation.answer import with_shown
 from bayeq.equation.equation import Equation, RunnerUp
+from bayeq.equation.plan.information import likeliest_models
+from bayeq.equation.selection.alternatives import alternatives_to, bounds, undetermined
+from bayeq.equation.selection.excitation import Repeating, repeating
+from bayeq.equation.selection.select import Selection
 from bayeq.equation.verdict import LEAST_SHOWN, Verdict, doubted, judge, noise_share, window_errors
 from bayeq.errors import (
     AmbiguityWarning,
@@ -27,14 +31,10 @@ from bayeq.inference.collapsed.search import neighbours
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.posterior import Posterior
 from bayeq.numerics.settings import EQUATION
-from bayeq.plan.information import likeliest_models
 from bayeq.records.names import in_si, parse_unit
 from bayeq.regression.by_likelihood import RecordRegression, changes_by_noise, inputs_of_hidden_noise
 from bayeq.regression.fit import RegressionFit
 from bayeq.regression.regression import Regression
-from bayeq.selection.alternatives import alternatives_to, bounds, undetermined
-from bayeq.selection.excitation import Repeating, repeating
-from bayeq.selection.select import Selection
 
 # The record contradicts what is stated of a coefficient if it moves it by more of the stated standard deviations, and
 # a bound if the coefficient would be further beyond without it, in its own ones.

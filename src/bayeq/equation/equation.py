@@ -13,7 +13,10 @@ from numpy.typing import ArrayLike
 from bayeq.arrays import Bools, Floats
 from bayeq.dictionary.ranges import ConstantEstimate, Forms
 from bayeq.equation import written
+from bayeq.equation.export import Uncertainty, sum_in_latex
 from bayeq.equation.intervals import Model, OverModels, cut, over_models, unlike
+from bayeq.equation.plan.information import CandidateModel
+from bayeq.equation.selection.select import LeftOut
 from bayeq.equation.sensitivity import (
     PipCurve,
     PriorSensitivity,
@@ -24,17 +27,14 @@ from bayeq.equation.sensitivity import (
 from bayeq.equation.size_path import ParsimonyPath, parsimony_path
 from bayeq.equation.verdict import Verdict
 from bayeq.errors import InputError
-from bayeq.export.functions import Uncertainty, sum_in_latex
 from bayeq.expressions import Evaluator, Expression, to_sympy
 from bayeq.forecast.dynamics import Law
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.posterior import Posterior
 from bayeq.markup import code, join, paragraph, table
 from bayeq.numerics.distributions import Z95
-from bayeq.plan.information import CandidateModel
 from bayeq.regression.fit import RegressionFit
 from bayeq.regression.residuals import Fit, Residuals
-from bayeq.selection.select import LeftOut
 from bayeq.states import Chain
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ class Equation:
 
     Two models of the same regression stand in it. The *included* terms are those with a posterior inclusion probability
     above 0.5; the terms *shown* are those of the equation that is printed, evaluated and integrated. They are the same
-    unless a limit, the tolerance or an undecided group make a difference (`bayeq.selection.select`); `why` tells.
+    unless a limit, the tolerance or an undecided group make a difference (`bayeq.equation.selection.select`); `why` tells.
 
     Attributes
     ----------
@@ -126,7 +126,7 @@ class Equation:
         What the size of a coefficient is below, with a probability of 95 %, were its term added to the included ones.
         NaN for those.
     undetermined : tuple of str
-        Terms that within their bounds could matter (`bayeq.selection.alternatives`), the simplest first.
+        Terms that within their bounds could matter (`bayeq.equation.selection.alternatives`), the simplest first.
     constants : tuple of ConstantEstimate
         Constants inside the terms, ``{name}``: the value that terms have, and how well it is known.
     forms : mapping of str to mapping of str to float

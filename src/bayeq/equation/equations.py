@@ -24,11 +24,11 @@ from bayeq.states.prepare import in_samples, numbered
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from bayeq.equation.plan.designs import Amplitude
+    from bayeq.equation.plan.result import Plan
     from bayeq.equation.quantities import PhysicalParameters
     from bayeq.forecast.free_run import Forecast
-    from bayeq.ode.rk4 import Interpolation
-    from bayeq.plan.designs import Amplitude
-    from bayeq.plan.result import Plan
+    from bayeq.numerics.rk4 import Interpolation
 
 
 @dataclass(frozen=True)
@@ -380,8 +380,8 @@ class Equations(Answer):
         DataWarning
             The verdict on the equations is that none was found.
         """
-        from bayeq.plan.designs import conditions_of
-        from bayeq.plan.plan import plan_excitation
+        from bayeq.equation.plan.designs import conditions_of
+        from bayeq.equation.plan.plan import plan_excitation
 
         heads = {equation.target for equation in self.equations}
         refused = {

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from bayeq.arrays import Bools, Floats
+from bayeq.equation.selection.select import LeftOut
 from bayeq.errors import whole_number
 from bayeq.forecast.dynamics import normal_draws
 from bayeq.inference.posterior import Draws, Posterior
 from bayeq.numerics.distributions import Z95, t95
 from bayeq.numerics.settings import EQUATION
 from bayeq.regression.fit import RegressionFit, mixture_of
-from bayeq.selection.select import LeftOut
 
 # Rules that leave out terms to have a simpler equation, not because they are in doubt.
 SIMPLER = ("max_terms", "tolerance")

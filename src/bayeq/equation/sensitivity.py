@@ -16,10 +16,10 @@ from numpy.typing import ArrayLike
 from bayeq.arrays import Bools, Floats
 from bayeq.errors import ConvergenceWarning, InputError
 from bayeq.figures.style import BLACK, BLUE, ORANGE, PALE, RED, log_ticks, new_panels, picture, term_label
-from bayeq.gram import Gram, GramLike
 from bayeq.inference.bma import average_models
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.engines import ENGINES
+from bayeq.inference.gram import Gram, GramLike
 from bayeq.inference.prior import Prior
 from bayeq.numerics.settings import INFERENCE
 
@@ -244,7 +244,7 @@ def prior_sensitivity(
     Examples
     --------
     >>> import numpy as np
-    >>> from bayeq.gram import Gram
+    >>> from bayeq.inference.gram import Gram
     >>> rng = np.random.default_rng(1)
     >>> D = rng.normal(size=(50, 3))
     >>> gram = Gram.from_data(D, D[:, 0] + 0.3 * D[:, 1] + rng.normal(size=50), names=("x", "v", "u"))

@@ -10,9 +10,9 @@ import numpy as np
 
 from bayeq.arrays import Bools, Floats, Ints
 from bayeq.figures.style import BLACK, BLUE, ORANGE, PALE, RED, labelled, log_ticks, new_panels, picture, term_label
-from bayeq.gram import Gram
 from bayeq.inference.collapsed.path import DEFAULT_MOST, best_of_each_size, model_log_posterior, partial_shares
 from bayeq.inference.collapsed.slab import exact_posterior
+from bayeq.inference.gram import Gram
 from bayeq.regression.fit import RegressionFit
 
 if TYPE_CHECKING:

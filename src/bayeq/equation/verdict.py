@@ -10,6 +10,8 @@ from typing import Literal
 import numpy as np
 
 from bayeq.arrays import Floats
+from bayeq.equation.selection.alternatives import Alternatives
+from bayeq.equation.selection.excitation import Repeating
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import correlation_time, typical_period, window_runs
 from bayeq.forecast.rows import divided, rows_of
@@ -18,8 +20,6 @@ from bayeq.likelihood.adequacy import Change, Discrepancy, Octave
 from bayeq.numerics.settings import EQUATION, LIKELIHOOD
 from bayeq.regression.regression import Regression
 from bayeq.regression.residuals import Fit
-from bayeq.selection.alternatives import Alternatives
-from bayeq.selection.excitation import Repeating
 from bayeq.states import Chain, Motion
 
 Kind = Literal["none", "not determined", "nearly true", "found"]
@@ -50,7 +50,7 @@ class Verdict:
         which its autocorrelation falls to 1/e) err by the spread and noise of the whole motion or more; or no term is
         in the equation. Rows at rest are compared with the variance of the whole motion.
         ``not determined``: the engine did not converge, equations that predict otherwise have more than 5 % of the
-        probability, or the motion repeats itself and does not tell the candidates apart (`bayeq.selection.excitation`).
+        probability, or the motion repeats itself and does not tell the candidates apart (`bayeq.equation.selection.excitation`).
         ``nearly true``: the law lacks a function of the states (its probability to lack none is below 1 %,
         `bayeq.likelihood.spike`), the motion needs a force that no term explains, what is left of a channel is not
         white noise, or a coefficient changes over the record (`bayeq.likelihood.adequacy`); or the terms leave more

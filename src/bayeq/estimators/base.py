@@ -17,9 +17,8 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 
 from bayeq.arrays import Floats
 from bayeq.errors import DataWarning, InputError
-from bayeq.gram import Gram, GramLike
-from bayeq.gram.gram import checked_weights, grams_from_data
-from bayeq.gram.lazy import LazyGram, grams_of
+from bayeq.inference.gram import Gram, GramLike, checked_weights, grams_from_data
+from bayeq.inference.lazy_gram import LazyGram, grams_of
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
 

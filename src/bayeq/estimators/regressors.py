@@ -21,11 +21,11 @@ from bayeq.arrays import Floats
 from bayeq.equation.sensitivity import PriorSensitivity, prior_sensitivity
 from bayeq.errors import DataWarning, InputError, some_of
 from bayeq.estimators.base import SparseRegressor, SpikeSlabRegressor
-from bayeq.gram import Gram, GramLike
-from bayeq.gram.lazy import LazyGram
 from bayeq.inference.bma import sample_average, spike_slab_bma
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.gibbs import spike_slab_gibbs
+from bayeq.inference.gram import Gram, GramLike
+from bayeq.inference.lazy_gram import LazyGram
 from bayeq.inference.posterior import Draws, Posterior
 from bayeq.inference.prior import Prior
 from bayeq.inference.rvm import rvm

@@ -16,7 +16,7 @@ from bayeq.expressions.evaluate import Program
 from bayeq.expressions.implicit import solved
 from bayeq.expressions.nodes import jumps_of
 from bayeq.inference.posterior import Constant, Posterior
-from bayeq.ode.rk4 import Drive, local_errors
+from bayeq.numerics.rk4 import Drive, local_errors
 from bayeq.states import Chain, Motion, Roles, rates
 
 # A step is halved until this share (of the intervals) errs by less than TOLERANCE of the states' spread in an interval,

@@ -26,8 +26,8 @@ from bayeq.forecast.rows import (
     window_of,
 )
 from bayeq.inference.posterior import Projected
+from bayeq.numerics.rk4 import Drive, check_interpolation, free_runs, interpolant, shoot
 from bayeq.numerics.settings import FORECAST
-from bayeq.ode.rk4 import Drive, check_interpolation, free_runs, interpolant, shoot
 from bayeq.records import Record
 from bayeq.states import Sensors, Smooth, estimate_motion, rates, without_lags
 from bayeq.states.prepare import inputs_filled

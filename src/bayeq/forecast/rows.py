@@ -12,7 +12,7 @@ from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
 from bayeq.errors import InputError, RecordError, require_kind, whole_number
 from bayeq.expressions import Expression
-from bayeq.ode.rk4 import Drive, Interpolation, interpolant, with_time
+from bayeq.numerics.rk4 import Drive, Interpolation, interpolant, with_time
 from bayeq.records import Record
 from bayeq.states import ChainSmoothing, Motion, Roles
 
@@ -27,7 +27,7 @@ class Rows:
     time: Floats  # (n,), [s]
     columns: Mapping[str, Floats]  # (n,), states, targets (measured, where they are) and inputs, as `discover` has them
     samples: Mapping[str, Floats]  # (n,), what was measured of states and targets; NaN where a sample is missing
-    # (n, m, 4), inputs, and t where it is used, between the rows, from `bayeq.ode.rk4.interpolant` over the whole
+    # (n, m, 4), inputs, and t where it is used, between the rows, from `bayeq.numerics.rk4.interpolant` over the whole
     # record
     driven: Floats
     # how targets that were not measured were estimated

@@ -21,7 +21,7 @@ from bayeq.forecast.rows import (
     rows_of,
     window_of,
 )
-from bayeq.ode.rk4 import check_interpolation
+from bayeq.numerics.rk4 import check_interpolation
 from bayeq.records import Record
 from bayeq.states import Motion, Sensors, Smooth, estimate_motion
 from bayeq.states.roles import NEXT

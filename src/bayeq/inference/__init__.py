@@ -1,1 +1,1 @@
-"""Engines: from a Gram matrix to a posterior; `engines` is their table."""
+"""From a Gram matrix to a posterior: the matrix, and engines, of which `engines` is the table."""

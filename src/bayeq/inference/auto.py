@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from bayeq.gram import GramLike
 from bayeq.inference.bma import spike_slab_bma
 from bayeq.inference.collapsed.listing import shares
 from bayeq.inference.gibbs import spike_slab_gibbs
+from bayeq.inference.gram import GramLike
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
 from bayeq.inference.vb import spike_slab_vb

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from bayeq.arrays import Bools, Floats, Ints
 from bayeq.errors import InputError
-from bayeq.gram import GramLike
 from bayeq.inference.collapsed.listing import ENUMERATE, ModelSet, list_models, shares
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.slab import exact_posterior
 from bayeq.inference.collapsed.tableau import active_block, drifted, flip, renew, swept
+from bayeq.inference.gram import GramLike
 from bayeq.inference.posterior import Averaged, Constant, Details, ModelAverage, Posterior
 from bayeq.inference.prior import Prior
 from bayeq.kernels import kernel

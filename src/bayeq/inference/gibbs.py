@@ -14,7 +14,6 @@ import numpy as np
 
 from bayeq.arrays import Bools, Floats
 from bayeq.errors import InputError
-from bayeq.gram import GramLike
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import greedy_start
 from bayeq.inference.collapsed.slab import given_model
@@ -32,6 +31,7 @@ from bayeq.inference.collapsed.tableau import (
     swap_gains,
     swept,
 )
+from bayeq.inference.gram import GramLike
 from bayeq.inference.posterior import Averaged, Constant, Details, Draws, Posterior
 from bayeq.inference.prior import Prior
 from bayeq.kernels import kernel

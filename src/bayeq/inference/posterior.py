@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from bayeq.arrays import Bools, Floats
 from bayeq.errors import InputError
-from bayeq.gram import Standardised
+from bayeq.inference.gram import Standardised
 from bayeq.kernels import kernel
 
 # Where fields of version 0.2 stand; their names go in 0.5.

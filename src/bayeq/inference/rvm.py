@@ -16,9 +16,9 @@ import math
 import numpy as np
 
 from bayeq.arrays import Bools, Floats
-from bayeq.gram import GramLike
 from bayeq.inference.collapsed.problem import Columns, Problem, gram_columns
 from bayeq.inference.collapsed.tableau import LOOK, Tableau, active_block, build, enter, leave, strayed
+from bayeq.inference.gram import GramLike
 from bayeq.inference.posterior import Constant, Details, Posterior
 from bayeq.inference.prior import Prior
 from bayeq.kernels import kernel

@@ -13,7 +13,7 @@ import numpy as np
 
 from bayeq.arrays import Bools, Floats
 from bayeq.errors import InputError
-from bayeq.gram.gram import Gram, GramLike, dense
+from bayeq.inference.gram import Gram, GramLike, dense
 from bayeq.inference.posterior import Constant, Details, Posterior
 from bayeq.inference.prior import Prior
 from bayeq.kernels import kernel

@@ -17,10 +17,10 @@ import numpy as np
 
 from bayeq.arrays import Bools, Floats, Ints
 from bayeq.errors import InputError
-from bayeq.gram import GramLike
 from bayeq.inference.collapsed.problem import Problem, fetch
 from bayeq.inference.collapsed.search import RVM_START_TERMS, candidate_models, default_starts, greedy_model, neighbours
 from bayeq.inference.collapsed.tableau import GAIN_TOLERANCE, expit
+from bayeq.inference.gram import GramLike
 from bayeq.inference.posterior import Constant, Details, Posterior
 from bayeq.inference.prior import Prior
 from bayeq.inference.rvm import rvm_gamma

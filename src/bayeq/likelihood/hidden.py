@@ -17,7 +17,7 @@ from bayeq.errors import InputError, some_of
 from bayeq.expressions import Binary, Evaluator, Expression, Symbol, Unknown, number
 from bayeq.expressions.implicit import product, total
 from bayeq.expressions.nodes import replaced
-from bayeq.gram import Gram
+from bayeq.inference.gram import Gram
 from bayeq.likelihood.fit import State
 from bayeq.likelihood.start import likeliest_by_rows
 from bayeq.states import Chain, Motion, Roles, with_columns, with_hidden

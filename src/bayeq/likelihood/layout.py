@@ -58,7 +58,7 @@ class Series(NamedTuple):
 
     intervals: Floats  # (n - 1,), between samples [s]
     samples: Floats  # (n, M), of `Layout.channels`; NaN where there is none
-    inputs: Floats  # (n, m, 4), what `Layout.given` names, from `bayeq.ode.rk4.interpolant`
+    inputs: Floats  # (n, m, 4), what `Layout.given` names, from `bayeq.numerics.rk4.interpolant`
     spread: Floats  # (n, M), variance of the noise of each sample as a multiple of its channel's
     # (n, L, 2), what the course of each input has beside a straight line: a fraction f after a sample, f (1 - f) times
     # the first and f times the second

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.arrays import Bools, Floats
-from bayeq.gram import Gram
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.slab import exact_posterior
+from bayeq.inference.gram import Gram
 from bayeq.inference.prior import Prior
 from bayeq.likelihood.fit import (
     Quadratic,

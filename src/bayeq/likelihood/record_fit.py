@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from bayeq.arrays import Bools, Floats
 from bayeq.dictionary.ranges import ConstantEstimate, Forms, constants_of, extent, to_scale
 from bayeq.expressions import Expression
-from bayeq.gram import Gram, Standardised
 from bayeq.inference.collapsed.search import scores_of
+from bayeq.inference.gram import Gram, Standardised
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.adequacy import Adequacy, adequacy_of, power_of
 from bayeq.likelihood.block import Block, at_its_path
@@ -32,8 +32,8 @@ from bayeq.likelihood.spike import Nearly, Soft, among_fitted, among_neighbours,
 from bayeq.likelihood.start import carried_over, series_and_paths, start_from
 from bayeq.likelihood.unequal import with_unequal_noise
 from bayeq.likelihood.unknowns import first_members, joint_covariance, settled, with_constants
+from bayeq.numerics.rk4 import Interpolation
 from bayeq.numerics.settings import LIKELIHOOD
-from bayeq.ode.rk4 import Interpolation
 from bayeq.states import Lag, Motion, with_paths
 
 # Stretches in which long records are searched at first.

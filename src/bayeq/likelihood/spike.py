@@ -21,10 +21,10 @@ from bayeq.arrays import Bools, Floats
 from bayeq.dictionary.families import count, monomials
 from bayeq.dictionary.ranges import constants_of, extent
 from bayeq.expressions import Expression, parse
-from bayeq.gram import Gram
 from bayeq.inference.bma import average_models, spike_slab_bma
 from bayeq.inference.collapsed.listing import ModelSet
 from bayeq.inference.collapsed.search import best_models, neighbours, scores_of
+from bayeq.inference.gram import Gram
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.adjoint import Adjoint
 from bayeq.likelihood.fit import (

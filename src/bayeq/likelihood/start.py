@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
 from bayeq.expressions import Expression
-from bayeq.gram import Gram
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import best_models, neighbours
 from bayeq.inference.collapsed.slab import exact_posterior, learn_slab_variance, residual_scale
+from bayeq.inference.gram import Gram
 from bayeq.inference.prior import Prior
 from bayeq.likelihood.fit import State, adjoints, linearised, maximised
 from bayeq.likelihood.layout import NOTHING, Candidates, Course, Layout, Series, Stated
@@ -27,8 +27,8 @@ from bayeq.likelihood.model import Fitted, Task
 from bayeq.likelihood.search import Start
 from bayeq.likelihood.steps import Flows
 from bayeq.likelihood.unequal import in_proportion
+from bayeq.numerics.rk4 import interpolant, with_time
 from bayeq.numerics.settings import LIKELIHOOD
-from bayeq.ode.rk4 import interpolant, with_time
 from bayeq.states import Motion, MotionRows, Roles
 
 # Noise of channels at first, as a share of their variance.

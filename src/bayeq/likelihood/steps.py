@@ -17,7 +17,7 @@ from bayeq.expressions.evaluate import Program, run_tape
 from bayeq.inference.posterior import Averaged, ModelAverage, Posterior
 from bayeq.kernels import kernel
 from bayeq.likelihood.layout import HELD, SMOOTH, STRAIGHT, Candidates, Stated
-from bayeq.ode.rk4 import STAGES
+from bayeq.numerics.rk4 import STAGES
 
 # From these many numbers on, 4 MB, numpy asks for large pages of memory; from a fourth on it is worth to have them.
 LARGE = 2**19

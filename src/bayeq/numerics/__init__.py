@@ -1,1 +1,1 @@
-"""Numerical methods of their own: minimisation within bounds, cubic splines."""
+"""Numerical methods of their own: minimisation within bounds, cubic splines, one integrator of differential equations."""

@@ -24,8 +24,7 @@ from bayeq.dictionary import evaluate_terms
 from bayeq.dictionary.families import degree
 from bayeq.errors import InputError
 from bayeq.expressions import Expression
-from bayeq.gram import Gram
-from bayeq.gram.gram import grams_from_blocks
+from bayeq.inference.gram import Gram, grams_from_blocks
 from bayeq.inference.posterior import Posterior
 from bayeq.regression.residuals import Residuals
 from bayeq.states import Motion, MotionRows

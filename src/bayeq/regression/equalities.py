@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from bayeq.arrays import Bools, Floats
 from bayeq.errors import InputError
-from bayeq.gram import Gram
+from bayeq.inference.gram import Gram
 from bayeq.inference.posterior import Averaged, Draws, ModelAverage, Posterior
 
 # A difference smaller than this share of what it is the difference of is rounding.

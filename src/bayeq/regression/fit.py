@@ -8,7 +8,6 @@ from functools import cached_property
 import numpy as np
 
 from bayeq.arrays import Bools, Floats
-from bayeq.gram import Gram, Standardised
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import best_models
 from bayeq.inference.collapsed.slab import (
@@ -19,6 +18,7 @@ from bayeq.inference.collapsed.slab import (
     residual_scale,
 )
 from bayeq.inference.engines import Engine
+from bayeq.inference.gram import Gram, Standardised
 from bayeq.inference.posterior import Mixture, Posterior
 from bayeq.inference.prior import Prior, limited
 from bayeq.likelihood.spike import softened_rows

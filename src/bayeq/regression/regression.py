@@ -13,8 +13,7 @@ from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
 from bayeq.dictionary.ranges import ConstantEstimate, Forms
 from bayeq.expressions import Expression
-from bayeq.gram import Gram
-from bayeq.gram.gram import grams_from_blocks
+from bayeq.inference.gram import Gram, grams_from_blocks
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.adequacy import Change, Discrepancy, Octave
 from bayeq.numerics.distributions import Shape

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Self, TypeVar
 
 from bayeq.errors import BayeqError, FileFormatError, InputError
-from bayeq.posix import POSIX, has_ended, interrupts_later
+from bayeq.resumable.posix import POSIX, has_ended, interrupts_later
 
 #: Values of the key of a row.
 Key = tuple[Any, ...]
@@ -301,7 +301,7 @@ def fill(
     several processes may fill a store. `missing` gives the keys that it lacks now, in groups that are computed
     together, and is asked until there are none. `tasks` turns the keys of `size` groups into a task, `work` a task
     into its answer, and `count` gives the number of groups in an answer. Tasks and answers are sent between processes:
-    `jobs` of them compute, with 1 this process alone, or else the workers of a `bayeq.streaming.cluster.Cluster`.
+    `jobs` of them compute, with 1 this process alone, or else the workers of a `bayeq.discovery.streaming.cluster.Cluster`.
 
     Yields an answer as it is ready, the number of groups done, with it, and of these and what was missing when it was
     last looked.

@@ -12,7 +12,7 @@ from bayeq.arrays import Floats
 from bayeq.errors import ChainError, ExpressionError, InputError, UnknownNameError, require_texts
 from bayeq.expressions import Evaluator, Expression, Symbol, Tape, parse
 from bayeq.expressions.functions import TIME
-from bayeq.ode.rk4 import Drive, free_runs, interpolant
+from bayeq.numerics.rk4 import Drive, free_runs, interpolant
 from bayeq.states.roles import Chain, Roles
 
 # A hidden state starts where it would stay under the first samples of what drives it, if it gets there during a time as

@@ -13,8 +13,8 @@ from bayeq.arrays import Bools, Floats
 from bayeq.errors import ChainError, RecordError
 from bayeq.expressions.functions import TIME
 from bayeq.expressions.parse import EARLIER
+from bayeq.numerics.rk4 import Interpolation
 from bayeq.numerics.settings import STATES
-from bayeq.ode.rk4 import Interpolation
 from bayeq.records import Record, counts_rows
 from bayeq.states.derive import Smooth, derive_states, known, require_usable, usable
 from bayeq.states.hidden import hidden_columns, hidden_rates

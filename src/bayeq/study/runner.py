@@ -25,12 +25,14 @@ from threadpoolctl import threadpool_limits
 
 from bayeq.arrays import Bools, Floats
 from bayeq.dictionary import Variables, build_dictionary
+from bayeq.discovery.streaming.cluster import Cluster
+from bayeq.equation.selection.select import Rules, select
 from bayeq.errors import InputError, one_line, whole_number
 from bayeq.expressions import Expression
-from bayeq.gram import Gram, Standardised
 from bayeq.inference.bma import spike_slab_bma
 from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
 from bayeq.inference.gibbs import spike_slab_gibbs
+from bayeq.inference.gram import Gram, Standardised
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
 from bayeq.inference.rvm import rvm
@@ -42,9 +44,7 @@ from bayeq.regression.design import build_design
 from bayeq.regression.joint import fit_equations, record_of
 from bayeq.regression.regression import Regression
 from bayeq.resumable.store import AHEAD, MAX_JOBS, Key, ResultStore, fill
-from bayeq.selection.select import Rules, select
 from bayeq.states import Roles, Smooth, estimate_motion, parse_chains
-from bayeq.streaming.cluster import Cluster
 from bayeq.study.config import DEFAULT_ALGORITHMS, STUDY_SYSTEMS, StudyConfig, choose
 from bayeq.systems import System, get_system, simulate
 

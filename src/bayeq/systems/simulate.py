@@ -18,7 +18,7 @@ from bayeq.records import Record, Truth
 from bayeq.systems.system import BandLimitedForce, System
 
 if TYPE_CHECKING:
-    from bayeq.ode.rk4 import Interpolation
+    from bayeq.numerics.rk4 import Interpolation
 
 # More samples in one record than anybody measures, and noise that drowns any signal: mistakes of typing.
 MAX_SAMPLES = 100_000_000
@@ -149,7 +149,7 @@ def _integrate(
     system: System, values: Mapping[str, float], inputs: Floats, fs: float, interpolation: Interpolation
 ) -> Floats:
     """States at the samples, (n, states)."""
-    from bayeq.ode.rk4 import Drive, check_interpolation, free_runs, interpolant
+    from bayeq.numerics.rk4 import Drive, check_interpolation, free_runs, interpolant
 
     check_interpolation(interpolation)
     n, size = len(inputs), len(system.states)

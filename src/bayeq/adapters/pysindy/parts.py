@@ -14,10 +14,9 @@ from pysindy.optimizers import BaseOptimizer
 from bayeq.adapters.pysindy.series import LEAST_FLOOR, UNSEEN, UNSEEN_ROWS, pieces_of, row_gram, series_grams
 from bayeq.arrays import Bools, Floats
 from bayeq.errors import DataWarning, InputError, RecordError, UnknownNameError
-from bayeq.gram import Gram
-from bayeq.gram.gram import checked_weights
 from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
 from bayeq.inference.engines import ENGINES
+from bayeq.inference.gram import Gram, checked_weights
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
 from bayeq.states.kinematic.fit import fit_kinematic

@@ -25,10 +25,10 @@ from itertools import pairwise
 import numpy as np
 
 from bayeq.arrays import Bools, Complexes, Floats
-from bayeq.gram import Gram
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import best_models
 from bayeq.inference.collapsed.slab import exact_posterior, learn_slab_variance, residual_scale
+from bayeq.inference.gram import Gram
 from bayeq.inference.prior import Prior
 
 # Share of a piece that is tapered at either end, and the least number of rows; this many times the inverse of the

@@ -13,11 +13,11 @@ import numpy as np
 
 from bayeq.arrays import Bools, Floats, Ints
 from bayeq.errors import InputError, whole_number
-from bayeq.gram import Gram
 from bayeq.inference.collapsed.listing import model_scores
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import best_models, log_constant, scores_of
 from bayeq.inference.collapsed.tableau import MOST_ACTIVE, flip_gains, swap_gains, swept
+from bayeq.inference.gram import Gram
 from bayeq.kernels import kernel
 
 # Number of terms up to which a path goes by default, three times as many as equations of motion usually have.

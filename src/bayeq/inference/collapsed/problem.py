@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bayeq.arrays import Floats, Ints
-from bayeq.gram.gram import GramLike, dense
+from bayeq.inference.gram import GramLike, dense
 from bayeq.inference.prior import Prior
 from bayeq.kernels import kernel
 

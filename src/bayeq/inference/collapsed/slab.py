@@ -7,10 +7,10 @@ import math
 import numpy as np
 
 from bayeq.arrays import Bools, Floats
-from bayeq.gram import Gram, GramLike
 from bayeq.inference.collapsed.problem import Problem, gram_block
 from bayeq.inference.collapsed.search import best_models, greedy_start
 from bayeq.inference.collapsed.tableau import residual_sum, swept
+from bayeq.inference.gram import Gram, GramLike
 from bayeq.inference.prior import Prior
 from bayeq.numerics.settings import INFERENCE
 

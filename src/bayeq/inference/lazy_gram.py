@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from bayeq.arrays import Floats
 from bayeq.errors import InputError
-from bayeq.gram.gram import Gram, Standardised, checked_weights, default_names, grams_from_data, require_squares
+from bayeq.inference.gram import Gram, Standardised, checked_weights, default_names, grams_from_data, require_squares
 
 # With fewer columns than this D'D is small, however few the rows.
 LEAST_COLUMNS = 500

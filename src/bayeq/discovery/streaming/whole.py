@@ -9,20 +9,8 @@ from functools import partial
 import numpy as np
 
 from bayeq.arrays import Bools
-from bayeq.errors import DataWarning, RecordError, WarningLog, some_of
-from bayeq.expressions import Expression
-from bayeq.gram.gram import from_moments
-from bayeq.inference.posterior import Posterior
-from bayeq.likelihood.block import Block, Curvature, curvature, relearned
-from bayeq.likelihood.record_fit import RecordFit
-from bayeq.numerics.settings import STREAMING
-from bayeq.regression.design import Design, usable_terms
-from bayeq.regression.residuals import Residuals
-from bayeq.resumable import Progress
-from bayeq.states import Motion
-from bayeq.states.bad_samples import Learned
-from bayeq.streaming.checkpoint import Checkpoints
-from bayeq.streaming.work import (
+from bayeq.discovery.streaming.checkpoint import Checkpoints
+from bayeq.discovery.streaming.work import (
     BLOCK_ROWS,
     AsMeasured,
     ByLikelihood,
@@ -36,6 +24,18 @@ from bayeq.streaming.work import (
     units_of,
     with_all_rows,
 )
+from bayeq.errors import DataWarning, RecordError, WarningLog, some_of
+from bayeq.expressions import Expression
+from bayeq.inference.gram import from_moments
+from bayeq.inference.posterior import Posterior
+from bayeq.likelihood.block import Block, Curvature, curvature, relearned
+from bayeq.likelihood.record_fit import RecordFit
+from bayeq.numerics.settings import STREAMING
+from bayeq.regression.design import Design, usable_terms
+from bayeq.regression.residuals import Residuals
+from bayeq.resumable import Progress
+from bayeq.states import Motion
+from bayeq.states.bad_samples import Learned
 
 # Of many units these first, evenly spread, so that the likelihood of all is taken near its maximum.
 SPREAD = 16

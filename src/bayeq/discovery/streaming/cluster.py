@@ -28,12 +28,12 @@ from weakref import WeakValueDictionary
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from bayeq.discovery.streaming.work import Extent, Unit, Work
 from bayeq.errors import BayeqError, InputError, RecordError, needing
 from bayeq.records import Record
 from bayeq.records.columns import Headers, Request
 from bayeq.records.formats.protocol import parts_between
 from bayeq.records.stream import FileStream
-from bayeq.streaming.work import Extent, Unit, Work
 
 T = TypeVar("T")
 

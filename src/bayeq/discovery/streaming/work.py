@@ -18,8 +18,8 @@ from bayeq.arrays import Floats
 from bayeq.errors import RecordError
 from bayeq.expressions import Evaluator, Expression, Tape
 from bayeq.expressions.evaluate import registers_for, run_on_rows
-from bayeq.gram.gram import Moments
-from bayeq.gram.products import add_products, block_for
+from bayeq.inference.gram import Moments
+from bayeq.inference.gram_products import add_products, block_for
 from bayeq.kernels import kernel
 from bayeq.likelihood.block import Block, block_of
 from bayeq.likelihood.fit import State

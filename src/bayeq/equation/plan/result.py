@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from bayeq.arrays import Floats
+from bayeq.equation.plan.designs import EXCITATIONS, Design
 from bayeq.figures.style import BLACK, BLUE, FULL_WIDTH, ORANGE, RED, log_ticks, new_figure, picture
 from bayeq.markup import printed, text_console
-from bayeq.plan.designs import EXCITATIONS, Design
 
 if TYPE_CHECKING:
     import pandas as pd

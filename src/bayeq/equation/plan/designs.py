@@ -15,8 +15,8 @@ from bayeq.arrays import Floats
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import ANYWHERE, mean_run, state_range
+from bayeq.numerics.rk4 import Drive, interpolant, slope_at
 from bayeq.numerics.settings import PLAN
-from bayeq.ode.rk4 import Drive, interpolant, slope_at
 from bayeq.records import Record
 
 Band = tuple[float, float]

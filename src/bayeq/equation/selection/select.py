@@ -33,10 +33,10 @@ from bayeq.errors import InputError, require_number
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import apart, typical_period, window_runs
 from bayeq.forecast.rows import Rows, divided, rows_of
-from bayeq.gram import Gram
 from bayeq.inference.collapsed.path import DEPENDENT, best_of_each_size, best_without_one, partial_shares, path_sizes
 from bayeq.inference.collapsed.problem import gram_block
 from bayeq.inference.engines import ENGINES
+from bayeq.inference.gram import Gram
 from bayeq.inference.posterior import Posterior
 from bayeq.numerics.settings import LIKELIHOOD, SELECTION
 from bayeq.regression.fit import RegressionFit

@@ -27,8 +27,8 @@ from bayeq.likelihood.fit import State, Statistics, adjoints, maximised, quadrat
 from bayeq.likelihood.layout import Candidates
 from bayeq.likelihood.model import Task, finer
 from bayeq.likelihood.start import start_of_runs
+from bayeq.numerics.rk4 import Interpolation
 from bayeq.numerics.settings import REFINE
-from bayeq.ode.rk4 import Interpolation
 from bayeq.regression.constraints import Constraints
 from bayeq.states import Motion
 

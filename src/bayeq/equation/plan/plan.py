@@ -11,14 +11,20 @@ import numpy as np
 
 from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
+from bayeq.equation.plan.designs import SHARES, Conditions, Design, Motions, designs_for, largest_share, shapes
+from bayeq.equation.plan.information import (
+    CandidateModel,
+    coefficient_gain,
+    seconds_to_halve,
+    seconds_until,
+    unexplained,
+)
+from bayeq.equation.plan.result import Compared, Outcome, Plan, Separation
 from bayeq.errors import InputError, whole_number
 from bayeq.figures.style import EquationLike
 from bayeq.forecast.dynamics import Dynamics, Law
 from bayeq.inference.posterior import Posterior
 from bayeq.numerics.settings import PLAN
-from bayeq.plan.designs import SHARES, Conditions, Design, Motions, designs_for, largest_share, shapes
-from bayeq.plan.information import CandidateModel, coefficient_gain, seconds_to_halve, seconds_until, unexplained
-from bayeq.plan.result import Compared, Outcome, Plan, Separation
 from bayeq.resumable import Progress
 
 

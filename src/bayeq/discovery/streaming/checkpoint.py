@@ -20,13 +20,13 @@ from typing import Any
 
 import numpy as np
 
+from bayeq.discovery.streaming.work import Extent, Folded, Lagged, OfRows
 from bayeq.errors import BayeqWarning
-from bayeq.gram.gram import Moments
+from bayeq.inference.gram import Moments
 from bayeq.likelihood.block import Block
 from bayeq.likelihood.fit import Quadratic
 from bayeq.records.io import replacing
 from bayeq.records.stream import FileStream
-from bayeq.streaming.work import Extent, Folded, Lagged, OfRows
 
 # A sum is kept no more often than this [s].
 EVERY = 10.0

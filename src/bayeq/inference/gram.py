@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from bayeq.arrays import Floats
 from bayeq.errors import InputError
-from bayeq.gram.products import shifted_products
+from bayeq.inference.gram_products import shifted_products
 from bayeq.kernels import kernel
 
 # Rows that are centred and multiplied at a time: large enough for BLAS, small enough for the cache.

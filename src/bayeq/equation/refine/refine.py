@@ -9,16 +9,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayeq.arrays import Bools, Floats
+from bayeq.equation.refine.output_error import Known, OutputError, Unrefined, output_error
 from bayeq.errors import ConvergenceWarning, DataWarning, RecordError, WarningLog, some_of
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import apart, typical_period, window_runs
 from bayeq.forecast.rows import Courses, Rows, divided, predicted_target, rows_of
 from bayeq.forecast.score import Scores, percentages, score_rows
 from bayeq.inference.posterior import Posterior
+from bayeq.numerics.rk4 import Interpolation
 from bayeq.numerics.settings import REFINE
-from bayeq.ode.rk4 import Interpolation
 from bayeq.records import Record
-from bayeq.refine.output_error import Known, OutputError, Unrefined, output_error
 from bayeq.regression.constraints import Constraints
 from bayeq.regression.residuals import Fit, Residuals, inspect_residuals
 from bayeq.states import Sensors, Smooth, estimate_motion

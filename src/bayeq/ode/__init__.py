@@ -1,1 +1,0 @@
-"""Ordinary differential equations: one integrator and its derivatives."""
