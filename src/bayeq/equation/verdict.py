@@ -50,7 +50,8 @@ class Verdict:
         which its autocorrelation falls to 1/e) err by the spread and noise of the whole motion or more; or no term is
         in the equation. Rows at rest are compared with the variance of the whole motion.
         ``not determined``: the engine did not converge, equations that predict otherwise have more than 5 % of the
-        probability, or the motion repeats itself and does not tell the candidates apart (`bayeq.equation.selection.excitation`).
+        probability, or the motion repeats itself and does not tell the candidates apart
+        (`bayeq.equation.selection.excitation`).
         ``nearly true``: the law lacks a function of the states (its probability to lack none is below 1 %,
         `bayeq.likelihood.spike`), the motion needs a force that no term explains, what is left of a channel is not
         white noise, or a coefficient changes over the record (`bayeq.likelihood.adequacy`); or the terms leave more

@@ -35,8 +35,9 @@ from bayeq.states import Motion, MotionRows, Roles
 FIRST_NOISE = 1e-3
 
 # Derivatives of an input that are states: a random sequence joined by straight lines, or a smooth force. Which of them
-# is decided at first by this many of its samples.
-SMOOTHNESS = (0, 1, 2, 3)
+# is decided at first by this many of its samples. Below eight samples per period a cubic course errs by more than the
+# noise of a good record, which a course of degree five does not.
+SMOOTHNESS = (0, 1, 2, 3, 4, 5)
 INPUT_ROWS = 2000
 
 # Courses of an input between samples that its derivatives do not tell, and those of a random sequence.

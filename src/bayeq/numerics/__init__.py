@@ -1,1 +1,1 @@
-"""Numerical methods of their own: minimisation within bounds, cubic splines, one integrator of differential equations."""
+"""Numerical methods of their own: minimisation within bounds, cubic splines, Runge-Kutta steps."""

@@ -301,7 +301,8 @@ def fill(
     several processes may fill a store. `missing` gives the keys that it lacks now, in groups that are computed
     together, and is asked until there are none. `tasks` turns the keys of `size` groups into a task, `work` a task
     into its answer, and `count` gives the number of groups in an answer. Tasks and answers are sent between processes:
-    `jobs` of them compute, with 1 this process alone, or else the workers of a `bayeq.discovery.streaming.cluster.Cluster`.
+    `jobs` of them compute, with 1 this process alone, or else the workers of a
+    `bayeq.discovery.streaming.cluster.Cluster`.
 
     Yields an answer as it is ready, the number of groups done, with it, and of these and what was missing when it was
     last looked.
