@@ -19,8 +19,8 @@ import numpy as np
 
 from bayeq.discovery import discover
 from bayeq.errors import BayeqWarning
-from bayeq.likelihood import record_fit
 from bayeq.likelihood.model import of_motion
+from bayeq.likelihood.record_fit import RecordFit
 from studies.numbers_records import draw_sign_oscillator
 from studies.resumable import Cell, Outcome, run_study
 
@@ -32,18 +32,18 @@ LOWER = 2.0
 
 
 def evidence_of(record: Any, question: Mapping[str, Any]) -> float:
-    """ln p(motion | inputs, model) of the best model of the training rows: inputs may be noisy in one fit only."""
-    found = []
+    """ln p(motion | inputs, model) of the answer: inputs may be noisy in one fit only."""
+    found: list[RecordFit] = []
+    of = RecordFit.of
 
-    def kept(*arguments: Any) -> Any:
-        found.append(search(*arguments))
+    def kept(*arguments: Any) -> RecordFit:
+        found.append(of(*arguments))
         return found[-1]
 
-    search = record_fit.search
-    with patch.object(record_fit, "search", kept), warnings.catch_warnings():
+    with patch.object(RecordFit, "of", kept), warnings.catch_warnings():
         warnings.simplefilter("ignore", BayeqWarning)
-        discover(record, **question)
-    task, fitted = found[0]
+        discover(record, **question, holdout=0.0)
+    task, fitted = found[-1].task, found[-1].fitted
     return of_motion(task, fitted) - task.prior(fitted.model)
 
 

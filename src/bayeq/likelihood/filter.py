@@ -281,7 +281,8 @@ def run_filter(linear: Linear, chosen: Candidates, noise: Noise, keep: bool = Tr
         used = _forward(linear, chosen, sources, noise, first, stop, keep, at, out)
         scaled = at.scaled[:used]
         out.product[:] += scaled.T @ scaled
-        logs += float(np.log(2.0 * np.pi * at.variance[:used]).sum())
+        with np.errstate(invalid="ignore"):  # a variance below 0: the likelihood is then not finite
+            logs += float(np.log(2.0 * np.pi * at.variance[:used]).sum())
     # innovations are samples less their prediction
     out.product[0, 1:] *= -1.0
     out.product[1:, 0] *= -1.0
