@@ -200,3 +200,19 @@ def test_a_constant_beside_another_s_highest_derivative_is_found() -> None:
     assert [one.shown for one in eq] == [("x", "u", "dy/({K}+x**2)"), ("y", "dx")]
     low, high = eq.constants[0].ci95
     assert low < 1.5 < high
+
+
+def test_equations_that_say_the_same_are_not_determined() -> None:
+    """Two sensors on one mass: a1 = a2 and a2 = a1, which no motion tells apart from any other pair of equations."""
+    once = bq.simulate("duffing", n=1500, seed=3)
+    rng = np.random.default_rng(0)
+    channels = {
+        f"{name}{k}": once[name] + 0.01 * once[name].std() * rng.standard_normal(once.n)
+        for name in "xva"
+        for k in (1, 2)
+    }
+    record = bq.Record({**channels, "u": once["u"]}, time=once.time)
+    question = {"chains": ["x1:v1:a1", "x2:v2:a2"], "inputs": ["u"], "dictionary": "x1, v1, u, a1, a2"}
+    with pytest.warns(UserWarning, match="simpler one"):
+        eqs = bq.discover(record, **question)
+    assert str(eqs.verdict) == "not determined: the equations for a1 and a2 say the same; offer a1 no a2"

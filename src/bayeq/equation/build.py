@@ -15,7 +15,7 @@ from bayeq.equation.plan.information import likeliest_models
 from bayeq.equation.selection.alternatives import alternatives_to, bounds, undetermined
 from bayeq.equation.selection.excitation import Repeating, repeating
 from bayeq.equation.selection.select import Selection
-from bayeq.equation.verdict import LEAST_SHOWN, Verdict, doubted, judge, noise_share, window_errors
+from bayeq.equation.verdict import LEAST_SHOWN, Verdict, alike, doubted, judge, noise_share, window_errors
 from bayeq.errors import (
     AmbiguityWarning,
     ConvergenceWarning,
@@ -65,7 +65,7 @@ def build_equations(
     design = selections[0].fit.regression.design
     motion = design.motion
     dynamics = Dynamics.on(motion, design.terms, [one.reported for one in selections])
-    equations = []
+    equations, same = [], alike(dynamics, motion)
     for k, (selection, window) in enumerate(zip(selections, window_errors(dynamics, motion), strict=True)):
         equation = replace(build_equation(selection, window), units=units)
         if scored:
@@ -79,6 +79,9 @@ def build_equations(
                     "a longer record would tell",
                 )
             equation = replace(equation, train=former.train, held_out=former.held_out, verdict=verdict, scored=former)
+        if equation.target in same:
+            reason = f"the equations for {' and '.join(same)} say the same"
+            equation = replace(equation, verdict=Verdict("not determined", reason, f"offer {same[0]} no {same[-1]}"))
         if not (equation.shown or equation.intercept_matters) and equation.verdict.kind != "none":
             without = Verdict("none", "no equation found: no candidate term is in the equation")
             equation = replace(equation, verdict=without)

@@ -10,8 +10,10 @@ from typing import Literal
 import numpy as np
 
 from bayeq.arrays import Floats
+from bayeq.dictionary import evaluate_terms
 from bayeq.equation.selection.alternatives import Alternatives
 from bayeq.equation.selection.excitation import Repeating
+from bayeq.expressions.implicit import multiplied
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import correlation_time, typical_period, window_runs
 from bayeq.forecast.rows import divided, rows_of
@@ -32,6 +34,9 @@ NOTHING = 0.005
 
 # What terms leave is below any effect below this share of the target's standard deviation.
 LEAST_SHOWN = 1e-3
+
+# Mass matrices, one for each of some rows, that are looked at; a smaller share is no part of a sum of equations.
+MOST_MATRICES, NO_PART = 500, 0.05
 
 # A law that leaves more than this share of the target's standard deviation is not found: no test need reject in a short
 # record.
@@ -123,7 +128,7 @@ def doubted(
 ) -> Verdict:
     """The verdict of an equation that is not wrong: is it determined, and is it all there is?"""
     target, rate = chain.target, "per sample" if chain.discrete else "Hz"
-    if verdict.kind == "none" or chain.stated:
+    if verdict.kind in ("none", "not determined") or chain.stated:
         return verdict
     share = left if left is not None else 0.0 if lacking is None else lacking.size
     if share >= EQUATION.as_the_mean:
@@ -217,6 +222,33 @@ def worst(verdicts: Sequence[tuple[str, Verdict]]) -> Verdict:
     if least.kind != "found" or len(verdicts) == 1:
         return least
     return Verdict("found", "; ".join(f"{target}: {one.reason}" for target, one in verdicts))
+
+
+def alike(dynamics: Dynamics, motion: Motion) -> tuple[str, ...]:
+    """Targets of equations that say the same: along the motion I - A is singular within the error of A.
+
+    A holds what equations multiply highest derivatives of each other by (`bayeq.expressions.implicit`).
+    """
+    targets = [chain.target for chain in dynamics.chains]
+    columns = {name: np.concatenate([rows.columns[name] for rows in motion.train]) for name in motion.train[0].columns}
+    few = {name: values[:: max(1, len(values) // MOST_MATRICES)] for name, values in columns.items()}
+    left = np.tile(np.eye(len(targets)), (len(next(iter(few.values()))), 1, 1))
+    error = np.zeros(left.shape)
+    for c, (law, members) in enumerate(zip(dynamics.laws, dynamics.terms, strict=True)):
+        inside = law.posterior.support
+        for term, coef, sd in zip(members, law.posterior.coef[inside], law.posterior.sd[inside], strict=True):
+            part = multiplied(term, targets)
+            if part is not None:
+                factor = evaluate_terms([part[1]], few)[:, 0]
+                left[:, c, part[0]] -= coef * factor
+                error[:, c, part[0]] += (sd * factor) ** 2
+    if not error.any() or not np.isfinite(left).all():
+        return ()
+    sums, sizes, _ = np.linalg.svd(left)
+    if np.median(sizes[:, -1]) > 1.96 * math.sqrt(float(np.median(error.sum(axis=(1, 2))))):
+        return ()
+    weights = np.median(np.abs(sums[:, :, -1]), axis=0)
+    return tuple(target for target, weight in zip(targets, weights, strict=True) if weight > NO_PART)
 
 
 def noise_share(regression: Regression, variance: float) -> float:
