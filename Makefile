@@ -13,7 +13,7 @@ QUICK := tests/conformance tests/test_cli_streams.py tests/test_estimators.py te
 SOURCES := src tests perf examples studies docs/conf.py docs/_extensions
 
 # Studies that write every finished record to NAME.jsonl, and go on from there when they are started again.
-RECORD_STUDIES := states_only known_terms white_force coupled servo circuit adverse verdicts random_truths tracking forces band hidden maps conserved between sensitivity
+RECORD_STUDIES := states_only known_terms white_force coupled servo circuit adverse verdicts random_truths tracking forces band hidden maps conserved between few_samples sensitivity
 
 .PHONY: demo test lint types kernels tests slow statistics coverage matrix bench study examples gallery site lock arviz notebooks tutorials app-pictures fuzz audit reliability clean
 
