@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import permutations
 from typing import Literal
 
 import numpy as np
@@ -35,8 +36,9 @@ NOTHING = 0.005
 # What terms leave is below any effect below this share of the target's standard deviation.
 LEAST_SHOWN = 1e-3
 
-# Mass matrices, one for each of some rows, that are looked at; a smaller share is no part of a sum of equations.
-MOST_MATRICES, NO_PART = 500, 0.05
+# Mass matrices, one for each of some rows, that are looked at. Below this share of the sum of its products' sizes a
+# determinant is 0: coefficients that are wrong by as much have another sign of it.
+MOST_MATRICES, SINGULAR = 500, 0.01
 
 # A law that leaves more than this share of the target's standard deviation is not found: no test need reject in a short
 # record.
@@ -225,9 +227,10 @@ def worst(verdicts: Sequence[tuple[str, Verdict]]) -> Verdict:
 
 
 def alike(dynamics: Dynamics, motion: Motion) -> tuple[str, ...]:
-    """Targets of equations that say the same: along the motion I - A is singular within the error of A.
+    """Targets of equations that say the same: along the motion the determinant of I - A is 0 within its error.
 
-    A holds what equations multiply highest derivatives of each other by (`bayeq.expressions.implicit`).
+    A holds what equations multiply highest derivatives of each other by (`bayeq.expressions.implicit`). The determinant
+    depends on no unit, and its error is that of the entries times their cofactors.
     """
     targets = [chain.target for chain in dynamics.chains]
     columns = {name: np.concatenate([rows.columns[name] for rows in motion.train]) for name in motion.train[0].columns}
@@ -244,11 +247,15 @@ def alike(dynamics: Dynamics, motion: Motion) -> tuple[str, ...]:
                 error[:, c, part[0]] += (sd * factor) ** 2
     if not error.any() or not np.isfinite(left).all():
         return ()
-    sums, sizes, _ = np.linalg.svd(left)
-    if np.median(sizes[:, -1]) > 1.96 * math.sqrt(float(np.median(error.sum(axis=(1, 2))))):
+    for i, j in np.ndindex(error.shape[1:]):
+        error[:, i, j] *= np.linalg.det(np.delete(np.delete(left, i, axis=1), j, axis=2)) ** 2
+    parts = np.median(error.sum(axis=2), axis=0)
+    order = range(len(targets))
+    sizes = sum(np.abs(left[:, order, entries]).prod(axis=1) for entries in permutations(order))
+    least = max(1.96 * math.sqrt(float(parts.sum())), SINGULAR * float(np.median(sizes)))
+    if np.median(np.abs(np.linalg.det(left))) > least:
         return ()
-    weights = np.median(np.abs(sums[:, :, -1]), axis=0)
-    return tuple(target for target, weight in zip(targets, weights, strict=True) if weight > NO_PART)
+    return tuple(target for target, part in zip(targets, parts, strict=True) if part > 0.0)
 
 
 def noise_share(regression: Regression, variance: float) -> float:
