@@ -5,8 +5,7 @@
 Oscillators, linear and with a cubic spring, parameters drawn; a force of 20 lines up to 1.2 to 2 times the natural
 frequency, 1,000 rows of the steady motion. Displacement and acceleration have 0.3 % of noise, and the force has as much
 or none. The motion is integrated to a relative error of 1e-9, so that nothing but the samples is coarse. Exact is an
-answer with the true terms; intervals are those of
-exact answers.
+answer with the true terms; intervals are those of exact answers.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from scipy.integrate import solve_ivp
 from bayeq.arrays import Floats
 from bayeq.discovery import discover
 from bayeq.records import Record
-from studies.judge import timed, verdict_lines, with_verdict
+from studies.judge import coefficient_lines, timed, verdict_lines, with_verdict
 from studies.resumable import Cell, Outcome, run_study
 
 RECORDS, ROWS, NOISE, LINES = 16, 1000, 0.003, 20
@@ -61,9 +60,9 @@ def _measure(samples: int, exact_force: bool, seed: int) -> Outcome:
 
 
 def _summary(outcomes: Sequence[Outcome]) -> Iterator[Mapping[str, object]]:
-    errors = [term[0] / term[1] for one in outcomes if one["exact"] for term in one["terms"].values()]
+    together = coefficient_lines(outcomes)[0]
     for line in verdict_lines(outcomes):
-        yield {**line, "rms_error_over_sd": f"{np.sqrt(np.mean(np.square(errors))):.2f}"}
+        yield {**line, "rms_error_over_sd": together["rms_error_over_sd"]}
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -73,9 +73,8 @@ class Equation:
     """One equation: target = intercept + sum of coefficient x term.
 
     Two models of the same regression stand in it. The *included* terms are those with a posterior inclusion probability
-    above 0.5; the terms *shown* are those of the equation that is printed, evaluated and integrated. They are the same
-    unless a limit, the tolerance or an undecided group make a difference (`bayeq.equation.selection.select`); `why`
-    tells.
+    above 0.5; the terms *shown* are those of the equation that is printed, evaluated and integrated. `why` says
+    what a limit, the tolerance or an undecided group makes different (`bayeq.equation.selection.select`).
 
     Attributes
     ----------

@@ -233,19 +233,27 @@ def alike(dynamics: Dynamics, motion: Motion) -> tuple[str, ...]:
     depends on no unit, and its error is that of the entries times their cofactors.
     """
     targets = [chain.target for chain in dynamics.chains]
-    columns = {name: np.concatenate([rows.columns[name] for rows in motion.train]) for name in motion.train[0].columns}
-    few = {name: values[:: max(1, len(values) // MOST_MATRICES)] for name, values in columns.items()}
+    coupled = [
+        (c, *part, coef, sd)
+        for c, (law, members) in enumerate(zip(dynamics.laws, dynamics.terms, strict=True))
+        for term, coef, sd in zip(
+            members, law.posterior.coef[law.posterior.support], law.posterior.sd[law.posterior.support], strict=True
+        )
+        if (part := multiplied(term, targets)) is not None
+    ]
+    if not coupled:
+        return ()
+    step = max(1, sum(rows.n for rows in motion.train) // MOST_MATRICES)
+    few = {
+        name: np.concatenate([rows.columns[name][::step] for rows in motion.train]) for name in motion.train[0].columns
+    }
     left = np.tile(np.eye(len(targets)), (len(next(iter(few.values()))), 1, 1))
     error = np.zeros(left.shape)
-    for c, (law, members) in enumerate(zip(dynamics.laws, dynamics.terms, strict=True)):
-        inside = law.posterior.support
-        for term, coef, sd in zip(members, law.posterior.coef[inside], law.posterior.sd[inside], strict=True):
-            part = multiplied(term, targets)
-            if part is not None:
-                factor = evaluate_terms([part[1]], few)[:, 0]
-                left[:, c, part[0]] -= coef * factor
-                error[:, c, part[0]] += (sd * factor) ** 2
-    if not error.any() or not np.isfinite(left).all():
+    for c, k, rest, coef, sd in coupled:
+        factor = evaluate_terms([rest], few)[:, 0]
+        left[:, c, k] -= coef * factor
+        error[:, c, k] += (sd * factor) ** 2
+    if not np.isfinite(left).all():
         return ()
     for i, j in np.ndindex(error.shape[1:]):
         error[:, i, j] *= np.linalg.det(np.delete(np.delete(left, i, axis=1), j, axis=2)) ** 2
