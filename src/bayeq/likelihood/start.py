@@ -36,8 +36,10 @@ FIRST_NOISE = 1e-3
 
 # Derivatives of an input that are states: a random sequence joined by straight lines, or a smooth force. Which of them
 # is decided at first by this many of its samples. Below eight samples per period a cubic course errs by more than the
-# noise of a good record, which a course of degree five does not.
+# noise of a good record, which a course of degree five does not; below six, where the corner of a course of degree five
+# is above CORNER, two more degrees do better (docs/tables/few_samples.csv) at a tenth of a fit's time.
 SMOOTHNESS = (0, 1, 2, 3, 4, 5)
+SMOOTHEST, CORNER = 7, 0.9  # corner [rad per sample]
 INPUT_ROWS = 2000
 
 # Courses of an input between samples that its derivatives do not tell, and those of a random sequence.
@@ -377,6 +379,9 @@ def _targets(roles: Roles, pieces: Sequence[MotionRows]) -> Floats:
 def _input(name: str, pieces: Sequence[MotionRows], known: float | None, orders: Sequence[int]) -> _Input:
     """An input of the smoothness, among `orders`, that makes its own samples likeliest."""
     found = [_alone(name, pieces, smoothness, known) for smoothness in orders]
+    one = found[-1][1]
+    if one.layout.corners[0] * _interval([part.intervals for part in one.series]) > CORNER:
+        orders, found = (*orders, SMOOTHEST), [*found, _alone(name, pieces, SMOOTHEST, known)]
     # Schwarz (1978): a random sequence has neither corner nor noise, which white samples would be taken for
     rows = sum(min(len(one.samples), INPUT_ROWS) for one in found[0][1].series)
     extra = math.log(rows) * np.sign(orders)
