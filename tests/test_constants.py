@@ -22,7 +22,7 @@ from bayeq.equation.written import at_end, constant_units
 from bayeq.errors import DataWarning, ExpressionError, InputError
 from bayeq.expressions import Evaluator, Unknown, parse
 from bayeq.likelihood.spike import Soft
-from bayeq.likelihood.unknowns import _derivative
+from bayeq.likelihood.unknowns import _as_one, _derivative, _Tangent
 from bayeq.records import Record
 
 VARIABLES = Variables(("x", "v"), ("u",))
@@ -491,3 +491,21 @@ def test_a_batch_has_a_line_for_each_constant(tmp_path):
     rows = batch.table().query("term == '{v0}'")
     np.testing.assert_allclose(rows.coef, [0.1, 0.2], rtol=0.15)
     assert "{v0}" in str(batch)
+
+
+def test_a_constant_of_two_equations_is_one_number() -> None:
+    """By the information folded onto one number: with F that repeats it, (F' A F)^-1 and its mean."""
+    rng = np.random.default_rng(8)
+    root = rng.standard_normal((6, 6))
+    covariance, theta = root @ root.T, rng.standard_normal(6)
+    change = parse("x")
+    tangents = [_Tangent("K", 0, change), _Tangent("g", 0, change), _Tangent("K", 1, change)]
+    fold = np.zeros((6, 5))
+    fold[np.arange(6), [0, 1, 2, 3, 4, 3]] = 1.0
+    information = np.linalg.inv(covariance)
+    folded = np.linalg.inv(fold.T @ information @ fold)
+    mean = folded @ fold.T @ information @ theta
+    found, joint, first = _as_one(tangents, theta, covariance)
+    assert first == {"K": 3, "g": 4}
+    np.testing.assert_allclose(found, fold @ mean, rtol=1e-9)
+    np.testing.assert_allclose(joint, fold @ folded @ fold.T, rtol=1e-9, atol=1e-12)

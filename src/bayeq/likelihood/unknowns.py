@@ -46,6 +46,7 @@ from bayeq.likelihood.fit import (
     improved,
     information,
     maximised,
+    solved,
 )
 from bayeq.likelihood.layout import Candidates, Layout
 from bayeq.likelihood.model import COARSE, MOST_HALVED, Fitted, Task, calmed, finished, fit, over_all_sizes
@@ -138,15 +139,15 @@ def with_constants(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fi
 
 
 def settled(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fitted]:
-    """The fit after rounds of other values and of steps from there."""
+    """The fit after rounds of steps from its values and of others."""
     for _ in range(ROUNDS):
         before = fitted
-        for family in families(task.layout.terms):
-            if any(_is_active(task, j) for j in family) and not _of_law(task, family):
-                task, fitted = _elsewhere(motion, task, fitted, family)
         other = moved(task, fitted, motion)
         if other[1].evidence > fitted.evidence:
             task, fitted = other
+        for family in families(task.layout.terms):
+            if any(_is_active(task, j) for j in family) and not _of_law(task, family):
+                task, fitted = _elsewhere(motion, task, fitted, family)
         if fitted is before or fitted.evidence < before.evidence + BETTER:
             break
     return task, fitted
@@ -354,6 +355,27 @@ def _with_tangents(task: Task, state: State) -> tuple[Task, State, list[_Tangent
     return own, replace(wide, chosen=chosen, theta=np.append(wide.theta, np.zeros(count))), tangents
 
 
+def _as_one(
+    tangents: Sequence[_Tangent], theta: Floats, covariance: Floats
+) -> tuple[Floats, Floats, Mapping[str, int]]:
+    """Coefficients with tangents behind them, and their covariance, given that a constant is the same in all equations.
+
+    Of each constant also the number of its first tangent among them.
+    """
+    first: dict[str, int] = {}
+    differences = []
+    for k, one in enumerate(tangents, len(theta) - len(tangents)):
+        if first.setdefault(one.name, k) != k:
+            row = np.zeros(len(theta))
+            row[[first[one.name], k]] = 1.0, -1.0
+            differences.append(row)
+    if differences:
+        D = np.array(differences)
+        gain = solved(D @ covariance @ D.T, D @ covariance).T
+        theta, covariance = theta - gain @ (D @ theta), covariance - gain @ D @ covariance
+    return theta, covariance, first
+
+
 def moved(task: Task, fitted: Fitted, motion: Motion | None = None) -> tuple[Task, Fitted]:
     """The fit with its constants moved to where they are likeliest, if the likelihood is finite on the way.
 
@@ -384,25 +406,20 @@ def moved(task: Task, fitted: Fitted, motion: Motion | None = None) -> tuple[Tas
 def _step(task: Task, state: State) -> tuple[tuple[Task, State], float]:
     """A Gauss-Newton step of a fit and its constants; how far the farthest of these goes, in standard deviations."""
     own, wide, tangents = _with_tangents(task, state)
-    count = len(tangents)
     linears = own.linearised(wide)
     levels, found = maximised(linears, wide, own.precision_of(wide), **COARSE)
     wide, _ = improved(own.layout, task.series, linears, replace(wide, levels=levels), found)
-    sd = np.sqrt(np.diagonal(found.covariance)[-count:])
-    constants, farthest = constants_of(task.layout.terms), 0.0
-    values = {}
-    for name in {one.name for one in tangents}:
+    theta, covariance, first = _as_one(tangents, wide.theta, found.covariance)
+    constants, farthest, values = constants_of(task.layout.terms), 0.0, {}
+    for name, k in first.items():
         constant = constants[name]
-        at = np.array([k for k, one in enumerate(tangents) if one.name == name])
-        weight = sd[at] ** -2.0
-        step = float(wide.theta[len(state.theta) + at] @ weight / weight.sum())
         most = FARTHEST * extent(constant)
-        step = min(max(step, -most), most)
+        step = min(max(float(theta[k]), -most), most)
         place = to_scale(constant, constant.value)
         values[name] = _bounded(constant, place + step)
         moved = abs(to_scale(constant, values[name]) - place)
-        farthest = max(farthest, moved * math.sqrt(float(weight.sum())))
-    return _at_values(task, replace(wide, chosen=state.chosen, theta=wide.theta[: len(state.theta)]), values), farthest
+        farthest = max(farthest, moved / math.sqrt(float(covariance[k, k])))
+    return _at_values(task, replace(wide, chosen=state.chosen, theta=theta[: len(state.theta)]), values), farthest
 
 
 def _at_values(task: Task, state: State, values: Mapping[str, float]) -> tuple[Task, State]:
@@ -425,23 +442,23 @@ def joint_covariance(task: Task, state: State, power: float = 1.0) -> tuple[Floa
     Both are of a power of the likelihood.
     """
     own, wide, tangents = _with_tangents(task, state)
-    found, count = own.marginal(wide, keep=False), len(tangents)
+    _, covariance, first = _as_one(tangents, wide.theta, own.marginal(wide, keep=False).covariance)
     terms, estimates = task.layout.terms, []
     for name, constant in constants_of(terms).items():
         low, high, scale = constant.low, constant.high, is_scale(constant)
-        at = [len(state.theta) + k for k in range(count) if tangents[k].name == name]
-        used = range(len(terms)) if not at else [j for j in dict.fromkeys(state.chosen.term.tolist()) if j < len(terms)]
+        at = first.get(name)
+        used = range(len(terms)) if at is None else [j for j in dict.fromkeys(state.chosen.term.tolist()) if j < len(terms)]
         inside = tuple(terms[j].text for j in used if name in terms[j].unknowns)
         sd, ends = None, [low, high]
-        if at:
-            sd = float(1.0 / np.sqrt(power * np.sum(1.0 / np.diagonal(found.covariance)[at])))
+        if at is not None:
+            sd = math.sqrt(float(covariance[at, at]) / power)
             if any(jumps_at(terms[j], name) for j in used):
                 sd = math.hypot(sd, extent(constant) / JUMP_NODES)  # where the term jumps is known no better
             place = to_scale(constant, constant.value)
             ends = [to_plain(constant, place + way * Z95 * sd) for way in (-1.0, 1.0)]
         ci95 = max(ends[0], low), min(ends[1], high)
         estimates.append(ConstantEstimate(name, constant.value, sd, ci95, low, high, scale, inside))
-    return found.covariance[: len(state.theta), : len(state.theta)] / power, tuple(estimates)
+    return covariance[: len(state.theta), : len(state.theta)] / power, tuple(estimates)
 
 
 def _with_odds(task: Task, fitted: Fitted) -> Task:
