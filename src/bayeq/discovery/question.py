@@ -397,9 +397,11 @@ class Question:
         if unknown is None:
             return terms
         if self.smooth != "auto" or not motion.smoothed:
+            timeless = any(rows.time is None for rows in motion.records)
+            how = "give time (of rows in any order fs=1)" if timeless else "use smooth='auto', and more rows"
             raise InputError(
                 f"term {unknown.text}: constants inside terms, and either-or, are found by the likelihood of the"
-                " record: use smooth='auto', and more rows, or write a number"
+                f" record: {how}, or write a number"
             )
         if whole is not None:
             raise NotStreamed(

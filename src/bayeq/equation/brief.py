@@ -251,7 +251,8 @@ def failed(equation: Equation) -> Iterator[str]:
     # errors of a derivative that is estimated are smooth where the motion is: tests of a law that is found say more
     tested = equation.chain.measured[-1] is None and equation.verdict.kind == "found"
     if found.driver is not None and found.driver.p_value < text.DOUBTFUL and not tested:
-        yield printable(f"what is left follows {found.driver}: a term with it may be missing, or it is delayed")
+        late = "" if equation.chain.discrete else f", or it is late: --lag-sd {found.driver.name}=SECONDS learns that"
+        yield printable(f"what is left follows {found.driver.name}: a term with it may be missing{late}")
     yield from map(printable, (*text.forms_of(equation), *equation.at_ends))
     for left in equation.left_out:
         yield printable(f"likely, but left out ({left.reason}): {left.name}, probability {left.pip:.3f}")

@@ -232,6 +232,10 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
         dependent,
         change,
     )
+    beyond = selection.fit.beyond_bounds(CONTRADICTED)
+    if beyond and verdict.kind != "none":
+        bounds = some_of([_beyond(name, *one) for name, one in beyond.items()], 60)
+        return Verdict("not determined", f"the record contradicts {bounds}", "check units, or drop that")
     if isinstance(regression, RecordRegression) and regression.record.rivals and verdict.kind != "none":
         other = ", ".join(f"{name} = {value:.4g}" for name, value in regression.record.rivals[0].items())
         return Verdict("not determined", f"as likely with {other}", "give narrower ranges, as in {a: 0.1..1}")
@@ -241,7 +245,14 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
     return Verdict("not determined", reason, "give fewer candidate terms, or compare with another method")
 
 
+def _beyond(name: str, end: float, free: float, sds: float) -> str:
+    """A bound, and by how many standard deviations the coefficient would be beyond it."""
+    return f"{name} {'<=' if free > end else '>='} {end:.4g} by {f'{sds:.2g}' if sds < 10.0 else f'{sds:.0f}'} sd"
+
+
 def _runners_up(fit: RegressionFit, posterior: Posterior) -> tuple[RunnerUp, ...]:
+    if isinstance(fit.regression, RecordRegression) and fit.regression.record.task.flows is not None:
+        return ()  # what an equation by itself tells is not what the sum leaves
     problem, limits, shown, names = fit.problem, fit.prior.limits, posterior.support, posterior.names
     moves = neighbours(problem, shown, RUNNER_UP_WINDOW)
     if limits is not None:
@@ -312,9 +323,8 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
             DataWarning,
         )
     for name, (end, free, sds) in beyond.items():
-        relation, by = "<=" if free > end else ">=", f"{sds:.2g}" if sds < 10.0 else f"{sds:.0f}"
         log.warn(
-            f"{target}: the record contradicts {name} {relation} {end:.4g} by {by} sd (free: {free:.4g}): check units",
+            f"{target}: the record contradicts {_beyond(name, end, free, sds)} (free: {free:.4g}): check units",
             DataWarning,
         )
     if equation.verdict.kind == "none":
@@ -373,7 +383,7 @@ def _warn_of_residuals(equation: Equation, selection: Selection, log: WarningLog
         )
     if residuals.driven and residuals.driver is not None:
         log.warn(
-            f"{target}: the residuals follow {residuals.driver}: add a term, or shift it (bayeq.correct_delay)",
+            f"{target}: the residuals follow {residuals.driver}: add a term, or learn its lag (--lag-sd)",
             CorrelatedResidualsWarning,
         )
 

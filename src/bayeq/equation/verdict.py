@@ -178,7 +178,7 @@ def doubted(
             "nearly true",
             f"what is left of {coloured.channel} is not white noise: {coloured.ratio:.2g} times as much between"
             f" {coloured.low:.2g} and {coloured.high:.2g} {rate} (p {_chance(coloured.p)})",
-            f"check {coloured.channel} against the other channels: calibration, timing, filters, hum",
+            f"{careful}: check calibration, timing, filters and hum of {coloured.channel}",
         )
     if n_eff is not None:
         return Verdict(

@@ -189,7 +189,7 @@ class _Parser:
             return f"{where} is not allowed: commas stand between the arguments of a function"
         if token.text == "(":
             return f"{where} follows a value; write * for products"
-        return f"malformed: an operator is missing before {where}; a name of several words is joined by _, as Position_1"
+        return f"malformed: an operator is missing before {where}; words of a name are joined by _, as Position_1"
 
     def value(self) -> Node:
         """Anything but a comparison."""

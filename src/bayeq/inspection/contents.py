@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -301,11 +301,15 @@ def _aligned(rows: Sequence[Sequence[str]], plain: bool, gap: str) -> list[str]:
 
 # Products of up to three states and inputs for first-order states; up to two where there are fewer rows for each term.
 CUBIC, QUADRATIC = "polynomial:3", "polynomial:2"
+# Displacements of several masses.
+NEIGHBOURS = "neighbours"
 ROWS_PER_TERM = 10
 
 
-def propose(guess: Guess, clues: Mapping[str, Clue], reading: Reading, rows: int) -> Proposal:
-    """Command and notes for what was found out about a file, or files, of this many rows."""
+def propose(
+    guess: Guess, clues: Mapping[str, Clue], reading: Reading, rows: int, levels: Collection[str] = ()
+) -> Proposal:
+    """Command and notes for what was found out about a file, or files, of this many rows; `levels` are of liquids."""
     options: list[tuple[str, str]] = []
     notes: list[str] = []
     if not reading.clocked and reading.files:
@@ -319,7 +323,7 @@ def propose(guess: Guess, clues: Mapping[str, Clue], reading: Reading, rows: int
             "its time starts over: this works once a column numbers the experiments (--group), or with a file for each"
         )
     arguments = _roles(guess, options, notes)
-    dictionary = _dictionary(guess, clues, rows)
+    dictionary = _dictionary(guess, clues, rows, levels)
     if dictionary is not None:
         options.append(("--dictionary", dictionary))
         arguments.append(f"dictionary={dictionary!r}")
@@ -383,15 +387,17 @@ def _roles(guess: Guess, options: list[tuple[str, str]], notes: list[str]) -> li
     return arguments
 
 
-def _dictionary(guess: Guess, clues: Mapping[str, Clue], rows: int) -> str | None:
+def _dictionary(guess: Guess, clues: Mapping[str, Clue], rows: int, levels: Collection[str]) -> str | None:
     """Terms that suit the chains; None for the default, eq. (31)."""
     if not guess.chains:
         return None
     if any(len(chain) == 1 for chain in guess.chains):
         variables = len(guess.chains) + len(guess.inputs)
-        return CUBIC if rows >= ROWS_PER_TERM * (math.comb(variables + 3, 3) - 1) else QUADRATIC
+        powers = CUBIC if rows >= ROWS_PER_TERM * (math.comb(variables + 3, 3) - 1) else QUADRATIC
+        return " + ".join([powers, *(f"sqrt({name})" for (name, *_) in guess.chains if name in levels)])
     if len(guess.chains) > 1:
-        return QUADRATIC
+        lengths = all(chain[0] is not None and not clues[chain[0]].angle for chain in guess.chains)
+        return NEIGHBOURS if lengths else QUADRATIC
     motion = guess.chains[0][0]
     if motion is not None and clues[motion].angle:
         angle = f"pi*{motion}/180" if clues[motion].degrees else motion

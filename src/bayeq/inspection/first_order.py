@@ -24,6 +24,9 @@ SYMBOLS = re.compile(r"([VUIT](_.*)?|[uin])(_?\d+)?")
 # or less, and leave less of its variance than this.
 STRETCHES, UNEVEN, DECAYED, LEFT = 16, 0.02, 0.8, 0.02
 
+# A speed goes one way where this share of its samples has one sign.
+ONE_WAY = 0.95
+
 
 def of_first_order(guess: Guess, clues: Mapping[str, Clue], record: Record) -> Guess:
     """The same with states of first order where there are no coordinates, or a speed alone that needs none."""
@@ -41,6 +44,8 @@ def of_first_order(guess: Guess, clues: Mapping[str, Clue], record: Record) -> G
     ]
     if speed is not None and not guess.inputs and only_decays(record[speed]):
         reasons[speed] = f"{clues[speed].why}; it only decays and no force is known: its rate is what is sought"
+    elif speed is not None and one_way(record[speed]):
+        reasons[speed] = f"{clues[speed].why}; it hardly turns back, as nothing on a spring does: its rate is sought"
     elif speed is not None and units.get(speed) in ROTATION:
         reasons[speed] = f"{clues[speed].why}, a speed of rotation, whose rate is sought"
     elif speed is not None or not alike:
@@ -79,6 +84,18 @@ def _without_prefix(names: Sequence[str]) -> dict[str, str]:
     """Names without what stands before the last underscore in all: u and i of meas_u and meas_i."""
     shared = len(names) > 1 and len({name.rpartition("_")[0] for name in names}) == 1
     return {name: name.rpartition("_")[2] if shared else name for name in names}
+
+
+def one_way(values: Floats) -> bool:
+    """Whether a speed has the same sign nearly always.
+
+    Examples
+    --------
+    >>> t = np.linspace(0.0, 3.0, 200)
+    >>> one_way(1.0 - np.exp(-t)), one_way(np.exp(-t) * np.cos(9.0 * t))
+    (True, False)
+    """
+    return bool(np.isfinite(values).all() and max(np.mean(values >= 0.0), np.mean(values <= 0.0)) > ONE_WAY)
 
 
 def only_decays(values: Floats) -> bool:

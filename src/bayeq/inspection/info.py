@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -12,11 +13,20 @@ from typing import Any
 import numpy as np
 
 from bayeq.errors import InputError, LengthsError, RecordError, WordsError, some_of
-from bayeq.inspection.channels import describe_channels
+from bayeq.inspection.channels import ChannelInfo, describe_channels
 from bayeq.inspection.contents import Proposal, Reading, RecordInfo, propose
 from bayeq.inspection.first_order import of_first_order
-from bayeq.inspection.links import Link, correlations, drivers, find_links, first_order, rough_channels, short_record
-from bayeq.inspection.roles import INPUT, REFERENCE, Guess, clues_of, guess_roles
+from bayeq.inspection.links import (
+    Link,
+    absolute,
+    correlations,
+    drivers,
+    find_links,
+    first_order,
+    rough_channels,
+    short_record,
+)
+from bayeq.inspection.roles import INPUT, REFERENCE, Guess, clues_of, guess_roles, names_level
 from bayeq.inspection.rows import Experiments, find_bad, gaps_of, sort_rows, starts_from_rest
 from bayeq.records import Record, as_record, check_record, read, without_copies
 from bayeq.records.findings import Finding
@@ -147,7 +157,12 @@ def _described(experiments: Experiments, name: str, reading: Reading) -> RecordI
     moving = [key for key, channel in channels.items() if not channel.constant]
     clues = clues_of({key: one.unit for key, one in channels.items()})
     short = short_record(records, channels)
-    links = find_links(short, moving)
+    of_base = absolute(short, *([key for key in moving if clues[key].order in k] for k in ((0,), (2,), (2, INPUT))))
+    moving = [key for key in moving if key not in of_base]
+    for below, base in of_base.values():
+        why = f"{clues[base].why}; of the base against which {below} is measured"
+        clues = {**clues, base: replace(clues[base], order=INPUT, why=why)}
+    links = find_links(short, [key for key in moving if key not in {base for _, base in of_base.values()}])
     derived = {key for link in links for key in (link.below, link.above)}
     other = (INPUT, REFERENCE)
     free = [key for key in moving if key not in derived and clues[key].order not in other and not clues[key].by_unit]
@@ -158,12 +173,17 @@ def _described(experiments: Experiments, name: str, reading: Reading) -> RecordI
     if len(second) == 1 and not guess.inputs:
         unknown = [key for key in guess.undecided if clues[key].order is None]
         guess = guess.driven_by(drivers(short, second[0], unknown), alike)
-    guess = of_first_order(guess, clues, short)
+    guess = of_first_order(guess, clues, short).without_absolute(of_base)
     bad, looked_at = find_bad(records, guess, moving)
     gaps = tuple(gaps_of(records))
     rates = [record for record in records if record.fs is not None]
     checks = _checks(records, guess)
     reading = _completed(reading, experiments, checks)
+    turning = [key for key in moving if clues[key].angle and not channels[key].unit and _turns(channels[key])]
+    reading = replace(reading, units={**reading.units, **dict.fromkeys(turning, "deg")})
+    clues = {key: replace(clue, degrees=clue.degrees or key in turning) for key, clue in clues.items()}
+    said = (f"{key} turns to and fro by more than 2 pi: taken in degrees; of radians leave out --units" for key in turning)
+    guess = replace(guess, questions=(*guess.questions, *said))
     for finding in checks:
         if finding.kind == "exchanged":
             guess = guess.exchanged(*finding.channels)
@@ -182,12 +202,22 @@ def _described(experiments: Experiments, name: str, reading: Reading) -> RecordI
         links=tuple(link for link in links if _used(link, guess)),
         guess=guess,
         findings=(),
-        proposal=propose(guess, clues, reading, sum(record.n for record in records)),
+        proposal=propose(guess, clues, reading, sum(record.n for record in records), _levels(channels)),
         clues=clues,
         reading=reading,
     )
     parts = (_on_time, _on_experiments, _on_channels, _on_bad_samples)
     return replace(made, findings=(*(text for part in parts for text in part(made)), *(one.message for one in checks)))
+
+
+def _turns(channel: ChannelInfo) -> bool:
+    """Whether an angle in rad would turn to and fro by whole turns: then it is one in degrees."""
+    return channel.least < -2.0 * math.pi and channel.greatest > 2.0 * math.pi
+
+
+def _levels(channels: Mapping[str, ChannelInfo]) -> set[str]:
+    """Levels of a liquid that are above 0 throughout: outflow goes with their root."""
+    return {name for name, one in channels.items() if names_level(name) and one.least > 0.0}
 
 
 def _without_copies(experiments: Experiments) -> tuple[Experiments, dict[str, str]]:
@@ -257,7 +287,9 @@ def proposal_for_all(found: Sequence[RecordInfo]) -> Proposal | None:
     if len(found) < 2 or any(one != alike[0] for one in alike):
         return None
     files = tuple(file for one in found for file in one.reading.files)
-    return propose(first.guess, first.clues, replace(first.reading, files=files), sum(one.rows for one in found))
+    rows = sum(one.rows for one in found)
+    levels = _levels(first.channels).intersection(*(_levels(one.channels) for one in found))
+    return propose(first.guess, first.clues, replace(first.reading, files=files), rows, levels)
 
 
 def copies_among(found: Sequence[RecordInfo]) -> list[str]:

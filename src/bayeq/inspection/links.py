@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations, permutations
+from itertools import combinations, permutations, product
 
 import numpy as np
 
@@ -149,6 +149,39 @@ def find_links(record: Record, names: Sequence[str]) -> list[Link]:
                 link = Link(p, q, order, gain, relation.delay, relation.fit, expected)
                 found.append((_doubt(relation, expected, frames), link))
     return [link for _, link in sorted(found, key=lambda one: one[0])]
+
+
+def absolute(
+    record: Record, displacements: Sequence[str], accelerations: Sequence[str], bases: Sequence[str]
+) -> dict[str, tuple[str, str]]:
+    """Accelerations of which another one, of a base, has to be taken to make the second derivative of a displacement.
+
+    Each with that displacement and the base. Clearly more has to be explained than by either acceleration alone.
+    """
+    frames = None if record.time is None else uniform_frames(record.time)
+    found: dict[str, tuple[str, str]] = {}
+    if frames is None or record.time is None:
+        return found
+    for p in displacements:
+        for q, base in product(accelerations, bases):
+            if q == base or record.units.get(q) != record.units.get(base):
+                continue
+            alone = [relate(record.time, record[p], record[one], 2, frames) for one in (q, base)]
+            both = relate(record.time, record[p], record[q] - record[base], 2, frames)
+            expected = _stated(record, p, q, 2)
+            left = [1.0 - one.fit for one in alone if one is not None]
+            if both is None or both.sign < 0 or abs(both.delay) > MOST_DELAY * frames.dt:
+                continue
+            clearly = both.fit > LEAST_FIT and CLEARLY * (1.0 - both.fit) < min(left, default=1.0)
+            if clearly and _nearest(both.gain, expected) < math.log(NEAR):
+                found[q] = p, base
+    return found
+
+
+def _stated(record: Record, p: str, q: str, order: int) -> float | None:
+    """The gain between a channel and a derivative of another by their units, where they are known."""
+    units = record.units
+    return derivative_ratio(units[p], units[q], order) if p in units and q in units else None
 
 
 def _mean_frequency(values: Floats) -> float:

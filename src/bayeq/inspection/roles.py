@@ -33,6 +33,7 @@ QUANTITIES: Mapping[int, str] = {
     " inflow zulauf zufluss flow durchfluss debit caudal",
     STATE: "level niveau pegel fullstand fuellstand temp temperature temperatur concentration konzentration",
 }
+LEVELS = frozenset(["level", "niveau", "pegel", "fullstand", "fuellstand"])
 SENSORS: Mapping[int, str] = {
     0: "lvdt laser encoder poti potentiometer",
     1: "gyro tacho",
@@ -122,6 +123,11 @@ class Guess:
         chains = tuple(tuple(name and other.get(name, name) for name in chain) for chain in self.chains)
         reasons = {**self.reasons, q: f"{p} derives from it", p: f"derives from {q}, against their units"}
         return replace(self, chains=chains, reasons=reasons)
+
+    def without_absolute(self, of_base: Mapping[str, tuple[str, str]]) -> Guess:
+        """The same with absolute accelerations that are not used, each of a displacement against a base."""
+        said = {q: f"is absolute: {q} - {base} is the second derivative of {p}" for q, (p, base) in of_base.items()}
+        return replace(self, undecided=(*self.undecided, *said), reasons={**self.reasons, **said})
 
     def role_of(self, name: str) -> str:
         """Role of a channel as a word; empty where it is not decided."""
@@ -238,6 +244,11 @@ def _said(part: str, table: Mapping[str, int], tier: int, place: int) -> int | N
     within = [w for w in table if len(w) >= COMPOUND and (part.startswith(w) or part.endswith(w))]
     within += ["weg"] if tier == 0 and part.endswith("weg") else []
     return table[max(within, key=len)] if within else None
+
+
+def names_level(name: str) -> bool:
+    """Whether a name says that it is the level of a liquid."""
+    return bool(LEVELS.intersection(_parts(name)))
 
 
 def guess_roles(

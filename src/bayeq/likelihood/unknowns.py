@@ -447,7 +447,8 @@ def joint_covariance(task: Task, state: State, power: float = 1.0) -> tuple[Floa
     for name, constant in constants_of(terms).items():
         low, high, scale = constant.low, constant.high, is_scale(constant)
         at = first.get(name)
-        used = range(len(terms)) if at is None else [j for j in dict.fromkeys(state.chosen.term.tolist()) if j < len(terms)]
+        present = [j for j in dict.fromkeys(state.chosen.term.tolist()) if j < len(terms)]
+        used = range(len(terms)) if at is None else present
         inside = tuple(terms[j].text for j in used if name in terms[j].unknowns)
         sd, ends = None, [low, high]
         if at is not None:

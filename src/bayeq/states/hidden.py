@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from bayeq.arrays import Floats
-from bayeq.errors import ChainError, ExpressionError, InputError, UnknownNameError, require_texts
+from bayeq.errors import ChainError, ExpressionError, InputError, UnknownNameError, require_texts, some_of
 from bayeq.expressions import Evaluator, Expression, Symbol, Tape, parse
 from bayeq.expressions.functions import TIME
 from bayeq.numerics.rk4 import Drive, free_runs, interpolant
@@ -49,11 +49,15 @@ def with_laws(laws: str | Sequence[str], roles: Roles) -> Roles:
     names = (*roles.names, *(chain.names[0] for chain in chains[len(roles.chains) :]), TIME)
     for k, (name, text) in enumerate(sides, len(roles.chains)):
         try:
-            chains[k] = replace(chains[k], law=parse(text.partition("=")[2].strip(), names))
+            law = parse(text.partition("=")[2].strip(), names)
         except UnknownNameError as error:
             raise InputError(f"law d{name}: {error}; an unknown constant is written {{{error.name}}}") from error
         except ExpressionError as error:
             raise ExpressionError(f"law d{name}: {error}") from error
+        held = law.names & {chain.target for chain in chains}
+        if held:
+            raise InputError(f"law d{name}: {some_of(sorted(held), 20)} is a highest derivative: use states and inputs")
+        chains[k] = replace(chains[k], law=law)
     return roles.with_chains(chains)
 
 
