@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 
 import numpy as np
 import pytest
@@ -274,6 +275,8 @@ def test_a_record_that_contradicts_a_bound_says_by_how_much(record: bq.Record, s
     with pytest.warns(BayeqWarning, match=pattern):
         eq = found(record, "-2e4 <= x**3 <= 0", "x**2 == 0", smooth=smooth)
     assert -2e4 <= eq.coef["x**3"] < -1.5e4
+    assert eq.verdict.kind == "not determined"
+    assert re.fullmatch(r"the record contradicts x\*\*3 >= -2e\+04 by [5-9]\.\d sd", eq.verdict.reason)
     assert eq.ci95[list(eq.posterior.names).index("x**3"), 0] == -2e4
 
 

@@ -130,6 +130,7 @@ def test_an_epidemic_is_found_as_its_flows_and_balances_to_the_last_digit() -> N
     assert dS["S*I"] == -dI["S*I"] == pytest.approx(-1.0, rel=0.03)
     assert dR["I"] == -dI["I"] == pytest.approx(0.3, rel=0.03)
     assert [one.posterior.intercept for one in eq] == [0.0, 0.0, 0.0]
+    assert [one.runners_up for one in eq] == [(), (), ()]  # of an equation by itself, which says nothing of the sum
     sd = {one.target: dict(zip(one.posterior.names, one.shown_posterior.sd, strict=True)) for one in eq}
     assert sd["dS"]["S*I"] == pytest.approx(sd["dI"]["S*I"], rel=1e-9)
     np.testing.assert_allclose(eq.predict(record).sum(axis=1), 0.0, atol=1e-14)

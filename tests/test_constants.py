@@ -268,6 +268,8 @@ def test_json_and_a_file_hold_all(answer, record, tmp_path):
     saved = json.loads(json.dumps(answer.to_dict()))["equations"][0]
     assert saved["constants"][0]["unit"] == "m/s"
     assert saved["constants"][0]["terms"] == ["tanh(v/{v0})"]
+    assert saved["constants"][0]["logarithmic"]
+    assert saved["constants"][0]["value_sd"] == saved["constants"][0]["sd"] * saved["constants"][0]["value"]
     answer.save(tmp_path / "eq.json")
     again = bq.load(tmp_path / "eq.json")
     assert str(again) == str(answer)
@@ -475,6 +477,13 @@ def test_refusals(record, dictionary, options, message):
     with pytest.raises(InputError, match=message) as caught:
         found(record, dictionary, **options)
     assert "\n" not in str(caught.value)
+
+
+def test_rows_without_time_ask_for_it(record):
+    order = np.random.default_rng(0).permutation(record.n)
+    rows = bq.Record({name: values[order] for name, values in record.channels.items()})
+    with pytest.raises(InputError, match=r"give time \(of rows in any order fs=1\), or write a number"):
+        bq.discover(rows, target="u", inputs=["x", "v"], dictionary="x, v, tanh(v/{v0})")
 
 
 def test_files_read_in_pieces_refuse_in_one_line(record, tmp_path):

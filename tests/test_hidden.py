@@ -102,6 +102,9 @@ def test_a_hidden_state_needs_a_law_and_a_use():
         bq.discover(actuator(1), chains=["x::", "~f:"], inputs=["u"], dictionary="x, dx, f")
     with pytest.raises(InputError, match="no term uses f"):
         bq.discover(actuator(1), chains="x::", inputs=["u"], dictionary="x, dx, u", law="df = u")
+    for law in ("df = ddx - f", "df = u*ddx"):
+        with pytest.raises(InputError, match="law df: ddx is a highest derivative: use states and inputs"):
+            bq.discover(actuator(1), chains="x::", inputs=["u"], dictionary="x, dx, f", law=law)
     with pytest.raises(InputError, match="no term uses f"):  # its own law is no use of it
         bq.discover(actuator(1), chains="x::", inputs=["u"], dictionary="x, dx, u", law="df = (u - f)/{tau}")
     with pytest.raises(InputError, match="give its range"):

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from bayeq import read
+from bayeq.errors import FileFormatError
 
 FOLDER = Path(__file__).parent / "instruments"
 
@@ -155,3 +156,14 @@ def test_header(name: str) -> None:
         assert record.time is not None
         assert record.fs == pytest.approx(header.fs, rel=2e-4)
         assert record.time[0] == pytest.approx(header.start)
+
+
+def test_decimal_commas_in_quotes_between_commas(tmp_path: Path) -> None:
+    file = tmp_path / "quoted.csv"
+    file.write_text('"t","x [mm]"\n"0","1,284"\n"0,002","1,6046"\n"0,004","-1,7e1"\n')
+    record = read(file)
+    np.testing.assert_allclose(record.time, [0.0, 0.002, 0.004])
+    np.testing.assert_allclose(record["x"], [1.284, 1.6046, -17.0])
+    file.write_text('"t","x"\n"0","1,284"\n"1","2,500"\n')  # which may as well be thousands
+    with pytest.raises(FileFormatError, match="'1,284' is not a number; write the decimal mark as a point"):
+        read(file)

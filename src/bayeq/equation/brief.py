@@ -41,6 +41,9 @@ MOST_ROWS = 6
 # An answer that is longer goes without the line left empty above the checks, if that is enough.
 MOST_LINES = 16
 
+# Functions of a displacement that are neither linear nor cubic; more may be a series.
+MOST_BENT = 2
+
 # Parameters that follow from others and are not printed.
 DERIVED = ("omega_n",)
 
@@ -81,7 +84,9 @@ def brief(eq: Answer) -> str:
         small = [[_wrapped(printable(which + said)) for said in text.unseen(one, few, ADVICE)] for few in (FEW, 1)]
         shortest = min(small, key=lambda said: sum(map(len, said)))
         lines += [
-            line for said in (*(_wrapped(printable(which + said)) for said in failed(one)), *shortest) for line in said
+            line
+            for said in (*(_wrapped(printable(which + said)) for said in (*failed(one), *series(one))), *shortest)
+            for line in said
         ]
     lines += [line for said in text.given_of(eq) for line in _wrapped(printable(said))]
     lines += _wrapped(text.source_of(eq, short=True))
@@ -240,6 +245,15 @@ def checks(eq: Answer) -> str:
     if all(not list(failed(one)) and one.verdict.kind == "found" for one in eq.equations):
         parts.append("what is left looks like noise")
     return printable(f"checked on {pairs[0][1].n} {where}: {', '.join(parts)}")
+
+
+def series(equation: Equation) -> Iterator[str]:
+    """Whether terms may be a series for another function of the displacement: many that are not linear or cubic."""
+    x = equation.chain.names[0]
+    bent = [term.text for term in equation.terms if term.text in equation.shown and term.names == {x}]
+    bent = [name for name in bent if name not in (x, f"{x}**3")]
+    if equation.chain.order == 2 and len(bent) > MOST_BENT and not equation.constants:
+        yield printable(f"{', '.join(bent)} may be a kink: try --dictionary 'oscillator + max({x}-{{g}},0)'")
 
 
 def failed(equation: Equation) -> Iterator[str]:

@@ -13,7 +13,7 @@ from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation
 from bayeq.equation.intervals import Model
 from bayeq.equation.physical import own_parameters
-from bayeq.equation.written import finite
+from bayeq.equation.written import finite, plain_sd
 from bayeq.inference.posterior import Posterior
 
 FORMAT = "bayeq-equations-1"
@@ -122,7 +122,8 @@ def _equation(equation: Equation, eq: Answer) -> dict[str, Any]:
 
 def _constant(equation: Equation, one: ConstantEstimate) -> dict[str, Any]:
     unit = equation.constant_units.get(one.name)
-    return {**asdict(one), "ci95": list(one.ci95), "terms": list(one.terms), "unit": unit}
+    sd = {"value_sd": None if one.sd is None else plain_sd(one)}  # sd is that of the logarithm where it is one
+    return {**asdict(one), **sd, "ci95": list(one.ci95), "terms": list(one.terms), "unit": unit}
 
 
 def _terms(equation: Equation) -> list[dict[str, Any]]:

@@ -182,7 +182,8 @@ def _described(experiments: Experiments, name: str, reading: Reading) -> RecordI
     turning = [key for key in moving if clues[key].angle and not channels[key].unit and _turns(channels[key])]
     reading = replace(reading, units={**reading.units, **dict.fromkeys(turning, "deg")})
     clues = {key: replace(clue, degrees=clue.degrees or key in turning) for key, clue in clues.items()}
-    said = (f"{key} turns to and fro by more than 2 pi: taken in degrees; of radians leave out --units" for key in turning)
+    how = "turns to and fro by more than 2 pi: taken in degrees; of radians leave out --units"
+    said = (f"{key} {how}" for key in turning)
     guess = replace(guess, questions=(*guess.questions, *said))
     for finding in checks:
         if finding.kind == "exchanged":

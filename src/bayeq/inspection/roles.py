@@ -70,6 +70,8 @@ SENSOR_ENDS = re.compile(r"(?<=\w{3})(mess)?(aufnehmer|sensor|geber|dose|zelle|w
 Alike = Mapping[frozenset[str], float]
 # Channels are the same signal, but for a lag, from this correlation on; inputs of one motor are loosely so.
 SAME, ONE_INPUT = 0.98, 0.5
+# A force that fits a derivative so closely is none.
+EXACTLY = 0.999
 
 
 @dataclass(frozen=True, slots=True)
@@ -290,6 +292,7 @@ def guess_roles(
         inputs.append(name)
         like = [link.stands_for for link in links if link.above == name and clues[link.below].order != REFERENCE]
         reasons[name] = clues[name].why + "".join(f"; it moves as {motion} too" for motion in like[:1])
+        questions += _exchanged(name, links, clues)
     rest = [name for name in names if name not in linked and name not in reasons]
     chains = _chains([_placed(run, clues) for run in runs], rest, clues, first, bool(alike), reasons)
     for chain in chains:
@@ -310,6 +313,21 @@ def guess_roles(
     ordered = sorted(chains, key=lambda chain: min(names.index(name) for name in chain if name is not None))
     undecided = tuple(name for name in names if name not in used)
     return Guess(tuple(ordered), tuple(inputs), undecided, reasons, tuple(questions))
+
+
+def _exchanged(name: str, links: Sequence[Link], clues: Mapping[str, Clue]) -> list[str]:
+    """A question where an input is clearly more a second derivative than the acceleration is, by names alone."""
+    own = [link for link in links if link.above == name and link.order == 2 and not clues[name].by_unit]
+    return [
+        f"{name} is {link.stands_for} more closely than {other.above} is: are their names exchanged?"
+        for link in own
+        for other in links
+        if (other.below, other.order) == (link.below, 2)
+        and clues[other.above].order == 2
+        and not clues[other.above].by_unit
+        and link.fit > EXACTLY
+        and CLEARLY * (1.0 - link.fit) < 1.0 - other.fit
+    ]
 
 
 def _agreeing(links: Sequence[Link], clues: Mapping[str, Clue]) -> list[tuple[int, Link]]:

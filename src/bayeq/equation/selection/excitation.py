@@ -24,6 +24,9 @@ from bayeq.states import Motion, MotionRows
 # Harmonics count that chance makes with less than this probability.
 CHANCE = 1e-3
 
+# An input that a period leaves more of than this share of its variance does not repeat itself.
+MOST_NOISE = 0.5
+
 # The period is looked for among this many within a line of the spectrum, then among as many beside the best.
 FREQUENCIES = 41
 
@@ -107,6 +110,8 @@ def _closed_curve(
         design = _harmonics(time, frequency, harmonics)
         coef = np.linalg.lstsq(design, values, rcond=None)[0]
         left = values - design @ coef
+        if name in inputs and left.var() > MOST_NOISE * values.var():
+            return None
         beside = name in rows.samples and not _is_noise(left, step, frequency * (harmonics + 0.5))
         if beside and left.std() > SELECTION.transient * values.std():
             return None

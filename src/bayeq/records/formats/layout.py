@@ -143,7 +143,8 @@ def sniff(path: Path, encoding: str, where: str = "", skip: int = 0) -> Layout:
     if header is not None:
         header = _fit_header(where, header, cells, line, lines[first][0])
     stamps = tuple(i for i, cell in enumerate(cells) if not is_number(cell) and parse_stamp(cell) is not None)
-    comma = delimiter in (";", "\t", "|") and not any(_has_point(row, delimiter, stamps) for row in data)
+    quoted = delimiter == "," and any(map(_QUOTED_COMMA.search, data))
+    comma = (quoted or delimiter in (";", "\t", "|")) and not any(_has_point(row, delimiter, stamps) for row in data)
     step = table.step if table is not None and table.step is not None else stated_step(comments)
     comment = comments[-1] if comments else ""
     return Layout(encoding, delimiter, header, comment, lines[first][0] - 1, width, comma, stamps, step)
@@ -410,6 +411,10 @@ def words(line: str, delimiter: str | None, width: int) -> list[str]:
 def bracketed_words(line: str) -> list[str]:
     """The words of a line; a unit in brackets belongs to the word before it."""
     return [word.strip("\"'") for word in _WORD.findall(line)]
+
+
+# A number with a decimal comma in quotes; of three digits behind it the comma may part thousands.
+_QUOTED_COMMA = re.compile(r'"[+-]?\d+,(?!\d{3}")\d+(?:[eE][+-]?\d+)?"')
 
 
 def unquoted(line: str) -> str:

@@ -1,0 +1,95 @@
+"""What `info` proposes for channels of a base, a fall, angles without a unit, a tank, two masses and a wrong rate."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import bayeq as bq
+from bayeq.arrays import Floats
+
+
+def forced(right, initial, n=3000, fs=200.0, seed=0, top=12.0):
+    """States of dy/dt = right(y, u(t)) for u of lines up to `top` Hz; time, states (S, n), u."""
+    rng = np.random.default_rng(seed)
+    lines = 2.0 * np.pi * np.linspace(0.5, top, 25)
+    phases = rng.uniform(0.0, 2.0 * np.pi, 25)
+    t = np.arange(n) / fs
+
+    def u(at: float | Floats) -> Floats:
+        return np.asarray(np.sin(np.multiply.outer(at, lines) + phases).sum(axis=-1))
+
+    run = solve_ivp(lambda at, y: right(y, float(u(at))), (0.0, t[-1]), initial, "DOP853", t, rtol=1e-9, atol=1e-10)
+    return t, run.y, u(t)
+
+
+def noisy(t, seed=1, noise=0.01, **channels):
+    rng = np.random.default_rng(seed)
+    return bq.Record.from_arrays(
+        {name: one + noise * one.std() * rng.standard_normal(len(t)) for name, one in channels.items()}, time=t
+    )
+
+
+def test_an_absolute_acceleration_beside_that_of_its_base_is_not_used() -> None:
+    t, (z, w), base = forced(lambda y, u: [y[1], -u - 1.6 * y[1] - 1500.0 * y[0]], [0.0, 0.0])
+    found = bq.info(noisy(t, rel_disp=z, mass_acc=-1.6 * w - 1500.0 * z, base_acc=base))
+    assert found.proposal.python == "bq.discover(record, displacement='rel_disp', force='base_acc')"
+    assert "mass_acc - base_acc is the second derivative of rel_disp" in str(found)
+    # an acceleration against the base is the second derivative of the displacement by itself
+    relative = bq.info(noisy(t, rel_disp=z, mass_acc=-base - 1.6 * w - 1500.0 * z, base_acc=base))
+    assert "acceleration='mass_acc'" in relative.proposal.python
+
+
+def test_a_speed_that_hardly_turns_back_is_of_first_order() -> None:
+    def proposed(v: Floats, force: Floats) -> str:
+        record = noisy(t, velocity=v, force=force)
+        return bq.info(bq.Record(record.channels, t, {"velocity": "m/s"})).proposal.python
+
+    t, (v,), u = forced(lambda y, u: [0.2 * (u + 30.0) - 0.1 * y[0] - 0.02 * y[0] ** 2], [0.0])
+    assert proposed(v, u + 30.0).startswith("bq.discover(record, chains=['velocity'], inputs=['force']")
+    t, (_, v), u = forced(lambda y, u: [y[1], u - 0.5 * y[1] - 200.0 * y[0]], [0.0, 0.0])
+    assert proposed(v, u) == "bq.discover(record, velocity='velocity', force='force')"
+
+
+@pytest.mark.parametrize(("unit", "asked"), [("rad", False), ("deg", True)])
+def test_an_angle_without_a_unit_that_would_turn_to_and_fro_is_in_degrees(unit: str, asked: bool) -> None:
+    t, (x, _), _ = forced(lambda y, u: [y[1], -0.15 * y[1] - 21.8 * np.sin(y[0])], [1.6, 0.0])
+    found = bq.info(noisy(t, theta=x * (180.0 / np.pi if asked else 1.0)))
+    assert ("taken in degrees" in str(found)) == asked
+    assert ("sin(pi*theta/180)" in found.proposal.python) == asked
+
+
+def test_a_level_above_zero_has_a_root_among_its_terms() -> None:
+    t, (level,), u = forced(lambda y, u: [0.03 * (u + 25.0) - 0.12 * np.sqrt(y[0])], [40.0], n=1500, fs=1.0, top=0.02)
+    assert "dictionary='polynomial:3 + sqrt(level)'" in bq.info(noisy(t, level=level, inflow=u + 25.0)).proposal.python
+    below = noisy(t, level=level - level.mean(), inflow=u + 25.0)
+    assert "sqrt" not in bq.info(below).proposal.python
+
+
+def test_masses_in_a_row_are_offered_their_neighbours() -> None:
+    t, y, u = forced(
+        lambda y, u: [y[2], y[3], u - 900 * y[0] + 500 * (y[1] - y[0]), -800 * (y[1] - y[0]) - y[3]], [0.0] * 4
+    )
+    found = bq.info(noisy(t, x1=y[0], x2=y[1], u=u))
+    assert "dictionary='neighbours'" in found.proposal.python
+
+
+def test_derivatives_at_another_rate_name_that_rate() -> None:
+    t, (x, v), u = forced(lambda y, u: [y[1], u - 0.5 * y[1] - 200.0 * y[0]], [0.0, 0.0])
+    a = u - 0.5 * v - 200.0 * x
+    at_double = noisy(t / 2.0, x=x, v=v, a=a)
+    [finding] = bq.check_record(at_double, ["x:v:a"])
+    assert finding.kind == "clock"
+    assert finding.value == pytest.approx(200.0, rel=0.01)
+    assert "v and a are the derivatives of x at" in finding.message
+    assert bq.check_record(noisy(t, x=x, v=v, a=a), ["x:v:a"]) == []
+    [gain] = bq.check_record(noisy(t, x=x, v=v, a=2.0 * a), ["x:v:a"])
+    assert gain.kind == "gain"
+
+
+def test_exchanged_names_of_force_and_acceleration_are_a_question() -> None:
+    t, (x, v), u = forced(lambda y, u: [y[1], u - 0.5 * y[1] - 200.0 * y[0]], [0.0, 0.0])
+    a = u - 0.5 * v - 200.0 * x
+    assert "F is d2x/dt2 more closely than a is: are their names exchanged?" in str(bq.info(noisy(t, x=x, a=u, F=a)))
+    assert "exchanged" not in str(bq.info(noisy(t, x=x, a=a, F=u)))
