@@ -396,8 +396,9 @@ def _dictionary(guess: Guess, clues: Mapping[str, Clue], rows: int, levels: Coll
         powers = CUBIC if rows >= ROWS_PER_TERM * (math.comb(variables + 3, 3) - 1) else QUADRATIC
         return " + ".join([powers, *(f"sqrt({name})" for (name, *_) in guess.chains if name in levels)])
     if len(guess.chains) > 1:
-        lengths = all(chain[0] is not None and not clues[chain[0]].angle for chain in guess.chains)
-        return NEIGHBOURS if lengths else QUADRATIC
+        low = [chain[0] for chain in guess.chains if chain[0] is not None]
+        lengths = all(clues[name].by_unit and not clues[name].angle for name in low)
+        return NEIGHBOURS if lengths and len(low) == len(guess.chains) else QUADRATIC
     motion = guess.chains[0][0]
     if motion is not None and clues[motion].angle:
         angle = f"pi*{motion}/180" if clues[motion].degrees else motion

@@ -24,8 +24,8 @@ SYMBOLS = re.compile(r"([VUIT](_.*)?|[uin])(_?\d+)?")
 # or less, and leave less of its variance than this.
 STRETCHES, UNEVEN, DECAYED, LEFT = 16, 0.02, 0.8, 0.02
 
-# A speed goes one way where this share of its samples has one sign.
-ONE_WAY = 0.95
+# A speed goes on in one direction where this share of its samples is above this share of the largest.
+ONE_WAY, MOVING = 0.8, 0.1
 
 
 def of_first_order(guess: Guess, clues: Mapping[str, Clue], record: Record) -> Guess:
@@ -87,15 +87,16 @@ def _without_prefix(names: Sequence[str]) -> dict[str, str]:
 
 
 def one_way(values: Floats) -> bool:
-    """Whether a speed has the same sign nearly always.
+    """Whether a speed goes on in one direction nearly always.
 
     Examples
     --------
     >>> t = np.linspace(0.0, 3.0, 200)
-    >>> one_way(1.0 - np.exp(-t)), one_way(np.exp(-t) * np.cos(9.0 * t))
-    (True, False)
+    >>> one_way(1.0 - np.exp(-t)), one_way(np.exp(-5.0 * t)), one_way(np.exp(-t) * np.cos(9.0 * t))
+    (True, False, False)
     """
-    return bool(np.isfinite(values).all() and max(np.mean(values >= 0.0), np.mean(values <= 0.0)) > ONE_WAY)
+    forwards = values * np.sign(np.median(values))
+    return bool(np.isfinite(values).all() and np.mean(forwards > MOVING * np.abs(values).max()) > ONE_WAY)
 
 
 def only_decays(values: Floats) -> bool:

@@ -301,11 +301,11 @@ def _gains(record: Record, measured: Sequence[tuple[int, str]], links: Sequence[
     errors = [_undecided(link) for link in links]
     # what a wrong rate makes of derivatives: the first is a factor of its own, the second the square of that
     per_order = [step / (high - low) for step, ((low, _), (high, _)) in zip(steps, pairwise(measured), strict=True)]
-    off = float(np.mean(per_order))
-    if len(steps) > 1 and abs(off) > math.log(RECORDS.least_gain) and np.ptp(per_order) < max(NEAR, *errors):
+    off, least = float(np.mean(per_order)), max(math.log(RECORDS.least_gain), 2.0 * max(errors))
+    if len(steps) > 1 and abs(off) > least and np.ptp(per_order) < NEAR:
         names = " and ".join(name for _, name in measured[1:])
         rate = (record.fs or 1.0) * math.exp(off)
-        message = f"{names} are the derivatives of {measured[0][1]} at {rate:.4g} rows per second: check the rate"
+        message = f"{names} are derivatives of {measured[0][1]} at {rate:.4g} rows per second: check the rate"
         return [Finding("clock", tuple(name for _, name in measured), message, rate)]
     found = []
     for odd in _odd_ones(measured, steps, errors, math.log(RECORDS.least_gain)):
@@ -343,8 +343,8 @@ def _delays(measured: Sequence[tuple[int, str]], links: Sequence[Relation], dt: 
     for odd in _odd_ones(measured, steps, errors, RECORDS.least_delay * dt):
         name, delay = odd.channels[0], odd.difference
         message = (
-            f"{name} {'lags behind' if delay > 0 else 'is ahead of'} {odd.against} by {abs(delay) / dt:.2g} samples:"
-            f" --lag-sd {name}={1.5 * abs(delay):.1g}, or bayeq.correct_delay(record, {name!r}, {delay:.3g})"
+            f"{name} {'lags behind' if delay > 0 else 'is ahead of'} {odd.against} by {abs(delay) / dt:.2g} rows:"
+            f" use --lag-sd, or bayeq.correct_delay(record, {name!r}, {delay:.3g})"
         )
         found.append(Finding("delay", odd.channels, message, delay))
     return found
