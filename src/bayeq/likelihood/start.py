@@ -36,8 +36,8 @@ FIRST_NOISE = 1e-3
 
 # Derivatives of an input that are states: a random sequence joined by straight lines, or a smooth force. Which of them
 # is decided at first by this many of its samples. Below eight samples per period a cubic course errs by more than the
-# noise of a good record, which a course of degree five does not; below five, where the corner of a course of degree five
-# is above CORNER, two more degrees do better (docs/tables/few_samples.csv) at a tenth of a fit's time.
+# noise of a good record, which a course of degree five does not. Below five, where the corner of such a course is above
+# CORNER, two more degrees do better (docs/tables/few_samples.csv) at a tenth of a fit's time.
 SMOOTHNESS = (0, 1, 2, 3, 4, 5)
 SMOOTHEST, CORNER = 7, 1.1  # corner [rad per sample]
 INPUT_ROWS = 2000
