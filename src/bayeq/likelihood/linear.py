@@ -17,6 +17,10 @@ from bayeq.numerics.settings import LIKELIHOOD
 from bayeq.numerics.spline import spline_slopes
 
 
+# What a state adds to another one's next value is nothing below this share of the other's standard deviation.
+ROUNDED = 1e-16
+
+
 class Linear(NamedTuple):
     """A record's model, linear in the deviations from a path and from some coefficients."""
 
@@ -114,7 +118,10 @@ def linearise(
         kinds, gradient = _with_drifts(layout, gradient)
     if layout.late:
         kinds, gradient = _with_lags(layout, series.intervals, path, seen, kinds.copy(), gradient)
-    related = (transition != 0.0).any(axis=0)
+    spread = path.std(axis=0)
+    spread[layout.discrepancy] = target.std(axis=0)
+    largest = np.maximum(transition.max(axis=0), -transition.min(axis=0))
+    related = (largest * spread > ROUNDED * spread[:, None]) | ((largest > 0.0) & (spread == 0.0))
     terms, coupling = terms_along(layout, path, inputs, chosen, theta)
     return Linear(
         path=path,
