@@ -12,9 +12,11 @@ import numpy as np
 from bayeq.dictionary.families import degree
 from bayeq.equation.equation import Equation
 from bayeq.errors import AmbiguityWarning, DataWarning, TermWarning, WarningLog, some_of
-from bayeq.records import Record
+from bayeq.records import Record, counts_rows
+from bayeq.records.names import is_time_name
+from bayeq.records.validate import SECONDS
 from bayeq.regression.design import Design
-from bayeq.states import Motion, force_of_blows
+from bayeq.states import Motion, Roles, force_of_blows
 
 
 def warn_of_other_terms(equations: Sequence[Equation], scored: Sequence[Equation], log: WarningLog) -> None:
@@ -59,6 +61,21 @@ def warn_of_blows(
                 f" peak: {change:.1g} % off)",
                 DataWarning,
             )
+
+
+def warn_of_rates(records: Sequence[Record], roles: Roles, log: WarningLog) -> None:
+    """Say where the rate that was given is not that of a column that is named time and used as no channel."""
+    for record in records:
+        for name in record.names:
+            if not is_time_name(name) or name in roles.channels or record.fs is None or counts_rows(record):
+                continue
+            steps = np.diff(record[name])
+            step = float(np.median(steps)) * SECONDS.get(record.units.get(name, "s"), 1.0)
+            if (steps > 0.0).all() and not 0.99 < record.fs * step < 1.01:
+                log.warn(
+                    f"{name} rises by {step:.4g} s a row, of which fs = {record.fs:g} is not: check fs", DataWarning
+                )
+                return
 
 
 def warn_of_zero(design: Design, records: Sequence[Record], log: WarningLog) -> None:

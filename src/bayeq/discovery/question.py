@@ -15,6 +15,7 @@ from bayeq.discovery.cautions import (
     change_of,
     warn_of_blows,
     warn_of_other_terms,
+    warn_of_rates,
     warn_of_sensors,
     warn_of_sums,
     warn_of_terms,
@@ -316,6 +317,7 @@ class Question:
             pieces, messages = without_hum(pieces, [*roles.measured, *roles.inputs], *self.band)
             log.extend(messages, DataWarning)
         motion = estimate_motion(pieces, roles, self.smooth, share, sensors, self.band)
+        warn_of_rates(records, roles, log)
         warn_of_sensors(motion, {*self.noise, *self.gain_sd, *self.lag_sd}, log)
         warn_of_blows(pieces, roles.inputs, sensors.noise, log)
         if self.lag_sd:

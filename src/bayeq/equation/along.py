@@ -17,6 +17,7 @@ from bayeq.forecast.rows import Courses
 from bayeq.forecast.score import Scores, score_records
 from bayeq.numerics.rk4 import check_interpolation
 from bayeq.records import Record
+from bayeq.records.names import conversion
 from bayeq.states import Roles, Sensors, Smooth, estimate_motion
 from bayeq.states.prepare import cleaned, divided_at_gaps, has_all
 
@@ -50,6 +51,27 @@ def prepared(eq: Answer, records: Sequence[Record], divide: bool = False, level:
         if message not in eq.warnings and (len(records) > 1 or named not in eq.warnings):
             warnings.warn(message, DataWarning, stacklevel=level)
     return found
+
+
+def in_units_of(eq: Answer, record: Record) -> tuple[Record, list[str]]:
+    """A record in the units of equations, where both are known, and what was converted.
+
+    InputError for a unit that cannot be converted.
+    """
+    where, notes = record.name or "record", list[str]()
+    wanted = {name: unit for equation in eq.equations for name, unit in equation.units.items()}
+    for name in [n for n in eq.roles.channels if n in record.channels and n in wanted and n in record.units]:
+        stated = record.units[name]
+        factor = conversion(stated, wanted[name])
+        if factor is None:
+            raise InputError(
+                f"{where}: {name} is in {stated}, in the equations in {wanted[name]}: give its unit (--units), or name"
+                " the channel that is meant (--channel)"
+            )
+        if factor != 1.0:
+            record = record.with_channels({name: factor * record[name]}, {name: wanted[name]})
+            notes.append(f"{name} was converted from {stated} to {wanted[name]}")
+    return record, notes
 
 
 def _without_targets(roles: Roles, records: Sequence[Record]) -> Roles:

@@ -190,7 +190,7 @@ def with_shown(chain: Chain, terms: Sequence[Expression], shown: Posterior) -> C
     return chain.with_found([(value, term) for value, term, inside in pairs if inside]) if chain.found else chain
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Answer:
     """The equations that were found and what they are as data, text of formulas and functions; see `Equations`."""
 

@@ -24,7 +24,7 @@ from bayeq.forecast.score import percentages
 from bayeq.numerics.distributions import Z95
 from bayeq.numerics.settings import EQUATION
 from bayeq.records import Record, counts_rows
-from bayeq.records.names import conversion, rate_and_length
+from bayeq.records.names import rate_and_length
 from bayeq.states import estimate_motion
 from bayeq.states.prepare import in_samples, numbered
 
@@ -140,24 +140,12 @@ def as_equations_have_them(equations: Equations, record: Record) -> tuple[Record
             " rate (--fs, fs=)"
         )
     wanted = {name: unit for equation in equations for name, unit in equation.units.items()}
-    named = [name for name in equations.roles.channels if name in record.channels and name in wanted]
-    bare = [name for name in named if name not in record.units]
-    notes = []
+    bare = [n for n in equations.roles.channels if n in record.channels and n in wanted and n not in record.units]
+    record, notes = along.in_units_of(equations, record)
     if bare:
         taken = ", ".join(dict.fromkeys(wanted[name] for name in bare))
         has_none = f"{where} has no unit of {', '.join(bare)}"
-        notes.append(f"{has_none}: taken to be in {taken}, as the equations have it (else --units)")
-    for name in [name for name in named if name in record.units]:
-        stated = record.units[name]
-        factor = conversion(stated, wanted[name])
-        if factor is None:
-            raise InputError(
-                f"{where}: {name} is in {stated}, in the equations in {wanted[name]}: give its unit (--units), or name"
-                " the channel that is meant (--channel)"
-            )
-        if factor != 1.0:
-            record = record.with_channels({name: factor * record[name]}, {name: wanted[name]})
-            notes.append(f"{name} was converted from {stated} to {wanted[name]}")
+        notes = [f"{has_none}: taken to be in {taken}, as the equations have it (else --units)", *notes]
     return record, notes
 
 

@@ -391,7 +391,10 @@ def _warn_of_residuals(equation: Equation, selection: Selection, log: WarningLog
 def _warn_of_hidden_noise(equation: Equation, regression: Regression, log: WarningLog) -> None:
     """Say what noise of an input that the record does not show would have done."""
     for name in inputs_of_hidden_noise(regression, equation.shown_posterior):
-        changes = changes_by_noise(regression, equation.shown_posterior, name, [NOISE_OF_INPUT])
+        try:
+            changes = changes_by_noise(regression, equation.shown_posterior, name, [NOISE_OF_INPUT])
+        except np.linalg.LinAlgError:  # terms that are next to infinite somewhere
+            continue
         term, (change,) = max(changes.items(), key=lambda one: abs(one[1][0]))
         log.warn(
             f"{equation.target}: noise of {name} unseen, {100 * NOISE_OF_INPUT:.0f} % would shift {term} by"

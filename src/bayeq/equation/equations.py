@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from bayeq.numerics.rk4 import Interpolation
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Equations(Answer):
     """Equations of motion with a posterior on every term.
 
@@ -313,7 +313,9 @@ class Equations(Answer):
                 raise InputError(f"{purpose} needs a Record (bayeq.read reads a file), not {type(record).__name__}")
         if self.roles.discrete:
             return [in_samples(record, self.roles) for record in records]
-        records = numbered(records, self.numbers)
+        from bayeq.equation.along import in_units_of
+
+        records = [in_units_of(self, record)[0] for record in numbered(records, self.numbers)]
         return with_row_numbers(records) if self.data.rows_as_time else records
 
     def _prepared(self, records: Sequence[Record], purpose: str, divide: bool = False) -> list[Record]:

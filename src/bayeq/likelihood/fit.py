@@ -139,9 +139,9 @@ def of_stated(stated: Sequence[Stated], chosen: Candidates, theta: Floats) -> Qu
 
 def solved(A: Floats, B: Floats) -> Floats:
     """A^-1 B of a positive matrix that may be singular; B (r,) or (r, k)."""
-    unit = 1.0 / np.sqrt(np.diagonal(A))
-    if not np.isfinite(unit).all():
+    if not (np.diagonal(A) > 0.0).all():
         raise np.linalg.LinAlgError("no positive matrix")
+    unit = 1.0 / np.sqrt(np.diagonal(A))
     A, B = A * unit[:, None] * unit, (B.T * unit).T
     try:
         singular = np.diagonal(np.linalg.cholesky(A)).min(initial=1.0) <= LEAST_PIVOT

@@ -16,7 +16,6 @@ from bayeq.likelihood.steps import Steps, add_derivatives, arrays, integrate
 from bayeq.numerics.settings import LIKELIHOOD
 from bayeq.numerics.spline import spline_slopes
 
-
 # What a state adds to another one's next value is nothing below this share of the other's standard deviation.
 ROUNDED = 1e-16
 

@@ -363,12 +363,17 @@ def _is_data(source: Any) -> bool:
     return all(hasattr(source, name) for name in ("u", "y", "sampling_time"))
 
 
+def _without_masked(values: Any) -> Any:
+    """An array, NaN where it is masked."""
+    return np.ma.filled(values.astype(float), np.nan) if np.ma.isMaskedArray(values) else np.asarray(values)
+
+
 def _from_mapping(source: Mapping[Any, Any], t: Any) -> Record:
     keys = list(source)
     if not all(isinstance(key, str) for key in keys):
         raise InputError("a mapping of arrays needs text as keys, the names of the channels")
     headers = Headers.parse(keys, "arrays")
-    data = Columns.build(headers, lambda i: np.asarray(source[keys[i]]))
+    data = Columns.build(headers, lambda i: _without_masked(source[keys[i]]))
     if t is None or isinstance(t, str):
         return Record(*assemble(data, Request(time=t), name="")[0][:4])
     return Record(dict(zip(data.names, data.values, strict=True)), np.asarray(t), data.headers.stated_units())

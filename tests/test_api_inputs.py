@@ -1,0 +1,71 @@
+"""What users of NumPy and pandas hand over: masks, dates as an index, other units, rates, records that warn."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import bayeq as bq
+from bayeq.errors import BayeqWarning, DataWarning, InputError
+
+
+@pytest.fixture(scope="module")
+def record() -> bq.Record:
+    return bq.simulate("duffing", n=800, seed=1)
+
+
+@pytest.fixture(scope="module")
+def answer(record: bq.Record) -> bq.Equations:
+    return bq.discover(record, chains="x:v:a", inputs=["u"])
+
+
+def test_masked_samples_of_a_mapping_are_missing(record: bq.Record) -> None:
+    x = np.ma.array(record["x"].copy(), mask=False)
+    x[100:104] = 1e3
+    x.mask[100:104] = True
+    with pytest.warns(DataWarning, match="x: 4 samples are missing"):
+        eq = bq.discover({"t": record.time, **record.channels, "x": x}, chains="x:v:a", inputs=["u"])
+    assert eq[0].coef["x"] == pytest.approx(-1000.0, rel=0.05)
+
+
+@pytest.mark.parametrize("kind", ["dates", "zone", "durations"])
+def test_an_index_of_dates_is_time_without_a_name(record: bq.Record, kind: str) -> None:
+    index: pd.Index = pd.to_timedelta(record.time, unit="s")
+    if kind != "durations":
+        index = pd.Timestamp("2024-03-01", tz="UTC" if kind == "zone" else None) + index
+    frame = pd.DataFrame(dict(record.channels), index=index)
+    assert bq.Record.from_dataframe(frame).fs == pytest.approx(1000.0)
+    assert bq.Record.from_dataframe(pd.DataFrame(dict(record.channels))).time is None
+
+
+def test_other_units_of_a_record_are_converted(record: bq.Record, answer: bq.Equations) -> None:
+    other = record.with_channels({"x": 1e3 * record["x"]}, {"x": "mm"})
+    np.testing.assert_allclose(answer.predict(other), answer.predict(record), rtol=1e-9, atol=1e-9)
+    assert str(answer.score(other)) == str(answer.score(record))
+    wrong = record.with_channels({"x": record["x"]}, {"x": "kg"})
+    with pytest.raises(InputError, match="x is in kg, in the equations in m"):
+        answer.score(wrong)
+
+
+def test_a_rate_that_is_not_that_of_the_time_left_as_a_channel_is_said(record: bq.Record) -> None:
+    other = bq.Record.from_arrays({"t": record.time, **record.channels}, fs=500)
+    with pytest.warns(BayeqWarning) as said:
+        bq.discover(other, chains="x:v:a", inputs=["u"], smooth="none")
+    assert any("t rises by 0.001 s a row, and fs = 500 was given: check fs" in str(one.message) for one in said)
+
+
+def test_answers_are_compared_by_identity(answer: bq.Equations) -> None:
+    assert answer in [answer]
+    assert answer != bq.Equations.__new__(bq.Equations)
+    assert len({answer, answer[0]}) == 2
+
+
+def test_what_cannot_be_computed_for_a_warning_ends_no_answer() -> None:
+    t = np.arange(600) / 100.0
+    rng = np.random.default_rng(0)
+    x, v, u = np.sin(3.0 * t), 3.0 * np.cos(3.0 * t), np.sin(2.0 * t) + 0.001
+    record = bq.Record.from_arrays(x=x, v=v, a=u - 0.5 * v - 9.0 * x + 0.01 * rng.standard_normal(600), u=u, time=t)
+    with pytest.warns(DataWarning):
+        eq = bq.discover(record, chains="x:v:a", inputs=["u"], smooth="none", dictionary="1/u**2, x, v, u")
+    assert eq.verdict.kind in ("found", "nearly true", "not determined", "none")
