@@ -72,9 +72,8 @@ def warn_of_rates(records: Sequence[Record], roles: Roles, log: WarningLog) -> N
             steps = np.diff(record[name])
             step = float(np.median(steps)) * SECONDS.get(record.units.get(name, "s"), 1.0)
             if (steps > 0.0).all() and not 0.99 < record.fs * step < 1.01:
-                log.warn(
-                    f"{name} rises by {step:.4g} s a row, of which fs = {record.fs:g} is not: check fs", DataWarning
-                )
+                message = f"{name} rises by {step:.4g} s a row, and fs = {record.fs:g} was given: check fs"
+                log.warn(message, DataWarning)
                 return
 
 
