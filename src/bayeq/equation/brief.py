@@ -263,7 +263,8 @@ def failed(equation: Equation) -> Iterator[str]:
     if found.normality < text.DOUBTFUL and found.kurtosis > 0.0 and not equation.chain.static:
         yield "what is left has heavy tails: try --tails student"
     # errors of a derivative that is estimated are smooth where the motion is: tests of a law that is found say more
-    tested = equation.chain.measured[-1] is None and equation.verdict.kind == "found"
+    by_likelihood = equation.chain.measured[-1] is None or equation.likelihood_model is not None
+    tested = by_likelihood and equation.verdict.kind == "found"
     if found.driver is not None and found.driver.p_value < text.DOUBTFUL and not tested:
         late = "" if equation.chain.discrete else f", or it is late: --lag-sd {found.driver.name}=SECONDS learns that"
         yield printable(f"what is left follows {found.driver.name}: a term with it may be missing{late}")

@@ -90,7 +90,7 @@ class Equations(Answer):
         return plot_terms(self, ax) if record is None else plot_run(self.simulate(record), ax)
 
     def predict(self, record: Record, return_std: bool = False) -> Any:
-        """Target(s) of a record, eqs. (29)-(30): the right-hand side at its measured states and inputs.
+        """Target(s) of a record, eqs. (29)-(30): the right-hand side at its states and inputs as `motion` has them.
 
         Bad samples are left out as in `discover`; where samples are missing states and inputs are bridged.
 
