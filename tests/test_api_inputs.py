@@ -81,3 +81,11 @@ def test_parameters_of_estimators_are_refused_by_name(name: str, value: object) 
     D = np.random.default_rng(0).normal(size=(50, 3))
     with pytest.raises(InputError, match=f"{name} must be"):
         bq.SpikeSlabVB(**{name: value}).fit(D, D[:, 0])
+
+
+@pytest.mark.parametrize("name", ["w", "theta", "d", "l", "b", "force"])
+def test_inputs_may_have_any_name(record: bq.Record, name: str) -> None:
+    channels = {key if key != "u" else name: values for key, values in record.channels.items()}
+    eq = bq.discover(bq.Record(channels, record.time), chains="x:v:a", inputs=[name], dictionary="oscillator:3")
+    assert set(eq[0].shown) == {"x", "v", "x**3", name}
+    assert eq.simulate(bq.Record(channels, record.time)).blew_up_at is None

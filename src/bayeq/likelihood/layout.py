@@ -30,6 +30,11 @@ Course = Literal["smooth", "linear", "hold", "cubic", "band-limited"]
 SMOOTH, STRAIGHT, HELD = 0, 1, 2
 
 
+def input_states(name: str, width: int) -> list[str]:
+    """Names of the derivatives of an input, which neither an input w or theta nor an earlier sample shares."""
+    return [f"{name}[[{k}]]" for k in range(1, width)]
+
+
 class Candidates(NamedTuple):
     """Coefficients of some equations: the term ``terms[j]`` in the equation of chain ``chain[j]``."""
 
@@ -201,7 +206,7 @@ class Layout:
         extra = [f"d[{c}]" for c in range(self.chains)] + [f"b[{i}]" for i in range(len(self.drifts))]
         extra += [f"l[{i}]" for i in range(len(self.late))]
         for name, width in zip(self.roles.inputs, self.widths, strict=True):
-            extra += [name, *(f"{name}[{k}]" for k in range(1, width))]
+            extra += [name, *input_states(name, width)]
         return (*self.roles.states, *extra)
 
     @cached_property
@@ -288,7 +293,7 @@ class Layout:
                 out.append(node if factor == 1.0 else Binary("*", number(factor), node))
         out += [Number(0)] * (self.before_inputs - self.motion)
         for name, width in zip(self.roles.inputs, self.widths, strict=True):
-            out += [*(Symbol(f"{name}[{k}]") for k in range(1, width)), Number(0)]
+            out += [*map(Symbol, input_states(name, width)), Number(0)]
         return Tape.compile(
             map(Expression, [*out, *targets, *terms, *further]),
             [*self.names, *self.given, *self.jump_widths, *parameters],

@@ -153,7 +153,7 @@ def refine(
     if runs_are_worse(*runs) or (found.excess > 1.0 and not runs_are_worse(*reversed(runs))):
         return Unrefined(
             f"free runs over windows of the rows used would err by {100.0 * now:.3g} % instead of {100.0 * former:.3g}"
-            " %",
+            f" %{', which may be chance' if now < former else ''}",
             "keep the equations",
         )
     scores, worse, bound = None, list[str](), _at_bound(dynamics, found)
