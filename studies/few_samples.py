@@ -1,6 +1,6 @@
 """Coarsely sampled records: 4 to 12 samples in a period of the highest frequency of the force.
 
-    python -m studies.few_samples --first-seed 430000 > docs/tables/few_samples.csv
+    python -m studies.few_samples --first-seed 440000 > docs/tables/few_samples.csv
 
 Oscillators, linear and with a cubic spring, parameters drawn; a force of 20 lines up to 1.2 to 2 times the natural
 frequency, 1,000 rows of the steady motion. Displacement and acceleration have 0.3 % of noise, and the force has as much

@@ -118,4 +118,4 @@ def test_the_wheel_alone_finds_an_equation_on_this_python(built, tmp_path, versi
     run("bayeq", "simulate", "duffing", "--seed", "1", "-o", "duffing.csv")
     answer = run("bayeq", "discover", "duffing.csv", "--disp", "x", "--vel", "v", "--acc", "a", "--force", "u")
     assert answer.startswith("verdict: found")
-    assert "a = -1003.6*x - 1.971*v - 9.964e+04*x**3 + 1.0005*u" in answer
+    assert "a = -1003.6*x - 1.971*v - 9.964e+04*x**3 + 1.0002*u" in answer

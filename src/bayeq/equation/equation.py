@@ -68,7 +68,7 @@ class RunnerUp:
         return f"without {self.leaves}" if self.leaves else f"with {self.enters} added"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Equation:
     """One equation: target = intercept + sum of coefficient x term.
 
