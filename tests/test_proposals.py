@@ -36,6 +36,9 @@ def test_an_absolute_acceleration_beside_that_of_its_base_is_not_used() -> None:
     found = bq.info(noisy(t, rel_disp=z, mass_acc=-1.6 * w - 1500.0 * z, base_acc=base))
     assert found.proposal.python == "bq.discover(record, displacement='rel_disp', force='base_acc')"
     assert "mass_acc - base_acc is the second derivative of rel_disp" in str(found)
+    lost = noisy(t, rel_disp=z, mass_acc=-1.6 * w - 1500.0 * z, base_acc=base)
+    gap = np.where(np.arange(len(t)) == 7, np.nan, lost["base_acc"])
+    assert bq.info(lost.with_channels({"base_acc": gap})).proposal.complete
     # an acceleration against the base is the second derivative of the displacement by itself
     relative = bq.info(noisy(t, rel_disp=z, mass_acc=-base - 1.6 * w - 1500.0 * z, base_acc=base))
     assert "acceleration='mass_acc'" in relative.proposal.python

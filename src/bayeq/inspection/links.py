@@ -32,6 +32,8 @@ MOSTLY = 0.8
 
 # More channels than these are not compared, each with each: that would take seconds.
 MOST_CHANNELS = 16
+# Nor are differences of accelerations, where with the displacements that they may belong to there are more.
+MOST_PAIRS = 60
 
 # A channel is the derivative of another if a sign and a delay explain this share of what they have in common, this
 # share of its power is common (the square of the coherence), and it is not later or earlier than this many rows.
@@ -132,7 +134,7 @@ def find_links(record: Record, names: Sequence[str]) -> list[Link]:
     frames = None if record.time is None else uniform_frames(record.time)
     if frames is None or record.time is None:
         return []
-    used = [name for name in names[:MOST_CHANNELS] if np.isfinite(record[name]).all() and np.ptp(record[name]) > 0.0]
+    used = [name for name in names[:MOST_CHANNELS] if _is_whole(record[name])]
     rates = {name: _mean_frequency(record[name]) for name in used}
     found: list[tuple[float, Link]] = []
     for p, q in permutations(used, 2):
@@ -160,11 +162,13 @@ def absolute(
     """
     frames = None if record.time is None else uniform_frames(record.time)
     found: dict[str, tuple[str, str]] = {}
-    if frames is None or record.time is None:
+    usable = [[name for name in own if _is_whole(record[name])] for own in (displacements, accelerations, bases)]
+    pairs = [(q, base) for q, base in product(*usable[1:]) if q != base]
+    if frames is None or record.time is None or len(usable[0]) * len(pairs) > MOST_PAIRS:
         return found
-    for p in displacements:
-        for q, base in product(accelerations, bases):
-            if q == base or record.units.get(q) != record.units.get(base):
+    for p in usable[0]:
+        for q, base in pairs:
+            if record.units.get(q) != record.units.get(base):
                 continue
             alone = [relate(record.time, record[p], record[one], 2, frames) for one in (q, base)]
             both = relate(record.time, record[p], record[q] - record[base], 2, frames)
@@ -176,6 +180,11 @@ def absolute(
             if clearly and _nearest(both.gain, expected) < math.log(NEAR):
                 found[q] = p, base
     return found
+
+
+def _is_whole(values: Floats) -> bool:
+    """Whether a channel moves, and has all its samples."""
+    return bool(np.isfinite(values).all() and np.ptp(values) > 0.0)
 
 
 def _stated(record: Record, p: str, q: str, order: int) -> float | None:
