@@ -310,8 +310,7 @@ class Equations(Answer):
         """Records with row numbers as time, if that of the equations is such and theirs is not known either."""
         for record in records:
             if not isinstance(record, Record):
-                how = "bayeq.read reads a file, Record.from_dataframe takes a data frame"
-                raise InputError(f"{purpose} needs a Record ({how}), not {type(record).__name__}")
+                raise InputError(f"{purpose} needs a Record (read, Record.from_dataframe), not {type(record).__name__}")
         if self.roles.discrete:
             return [in_samples(record, self.roles) for record in records]
         from bayeq.equation.along import in_units_of
