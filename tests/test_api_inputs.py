@@ -39,6 +39,10 @@ def test_an_index_of_dates_is_time_without_a_name(record: bq.Record, kind: str) 
     frame = pd.DataFrame(dict(record.channels), index=index)
     assert bq.Record.from_dataframe(frame).fs == pytest.approx(1000.0)
     assert bq.Record.from_dataframe(pd.DataFrame(dict(record.channels))).time is None
+    # a column that is named time is that, as ever
+    named = bq.Record.from_dataframe(frame.assign(t=2.0 * np.asarray(record.time)))
+    assert named.fs == pytest.approx(500.0)
+    assert set(named.names) == set(record.names)
 
 
 def test_other_units_of_a_record_are_converted(record: bq.Record, answer: bq.Equations) -> None:

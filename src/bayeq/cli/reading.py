@@ -356,15 +356,11 @@ def _require_rate_of_file(file: Path, paths: Mapping[str, str], options: Mapping
 
 def _require_rate(record: Record, name: str) -> None:
     """Refuse an --fs that contradicts a column that looks like time (with --fs it is read as a channel)."""
-    import numpy as np
+    from bayeq.records.validate import other_step
 
-    from bayeq.records.validate import SECONDS
-
-    with np.errstate(invalid="ignore"):  # of infinite times
-        steps = np.diff(record[name])
-        # a unit such as ms is that of the column, which is a channel here
-        step = float(np.median(steps)) * SECONDS.get(record.units.get(name, "s"), 1.0) if len(steps) else 0.0
-    if record.fs is not None and step > 0 and not 0.99 < record.fs * step < 1.01:
+    # a unit such as ms is that of the column, which is a channel here
+    step = None if record.fs is None else other_step(record[name], record.units.get(name, "s"), record.fs)
+    if step is not None:
         raise InputError(
             f"{record.name}: --fs {record.fs:g} contradicts column {name!r}, whose median step is {step:g}; leave --fs"
             f" out to use the column, or rename it if it is not time"

@@ -14,7 +14,7 @@ from bayeq.equation.equation import Equation
 from bayeq.errors import AmbiguityWarning, DataWarning, TermWarning, WarningLog, some_of
 from bayeq.records import Record, counts_rows
 from bayeq.records.names import is_time_name
-from bayeq.records.validate import SECONDS
+from bayeq.records.validate import other_step
 from bayeq.regression.design import Design
 from bayeq.states import Motion, Roles, force_of_blows
 
@@ -66,14 +66,13 @@ def warn_of_blows(
 def warn_of_rates(records: Sequence[Record], roles: Roles, log: WarningLog) -> None:
     """Say where the rate that was given is not that of a column that is named time and used as no channel."""
     for record in records:
+        fs = None if counts_rows(record) else record.fs
         for name in record.names:
-            if not is_time_name(name) or name in roles.channels or record.fs is None or counts_rows(record):
+            if fs is None or not is_time_name(name) or name in roles.channels:
                 continue
-            steps = np.diff(record[name])
-            step = float(np.median(steps)) * SECONDS.get(record.units.get(name, "s"), 1.0)
-            if (steps > 0.0).all() and not 0.99 < record.fs * step < 1.01:
-                message = f"{name} rises by {step:.4g} s a row, and fs = {record.fs:g} was given: check fs"
-                log.warn(message, DataWarning)
+            step = other_step(record[name], record.units.get(name, "s"), fs)
+            if step is not None and (np.diff(record[name]) > 0.0).all():
+                log.warn(f"{name} rises by {step:.4g} s a row, and fs = {fs:g} was given: check fs", DataWarning)
                 return
 
 

@@ -16,7 +16,7 @@ from sklearn.utils.metadata_routing import UNUSED
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from bayeq.arrays import Floats
-from bayeq.errors import DataWarning, InputError, whole_number
+from bayeq.errors import DataWarning, InputError
 from bayeq.inference.gram import Gram, GramLike, checked_weights, grams_from_data
 from bayeq.inference.lazy_gram import LazyGram, grams_of
 from bayeq.inference.posterior import Posterior
@@ -110,11 +110,6 @@ class SparseRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
 
     def _fitted(self, grams: tuple[Gram | LazyGram, ...], several: bool) -> Self:
         """Set all that a fit leaves."""
-        if hasattr(self, "max_iter"):
-            whole_number("max_iter", self.max_iter, 1)
-        tol = getattr(self, "tol", 0.0)
-        if not (isinstance(tol, (int, float, np.number)) and 0.0 <= tol < np.inf):
-            raise InputError(f"tol must be a number from 0 on, got {tol!r}")
         self.posteriors_ = tuple([self._solve(gram) for gram in grams])
         self._several = several
         self._keep(grams)

@@ -16,6 +16,7 @@ import math
 import numpy as np
 
 from bayeq.arrays import Bools, Floats
+from bayeq.errors import whole_number
 from bayeq.inference.collapsed.problem import Columns, Problem, gram_columns
 from bayeq.inference.collapsed.tableau import LOOK, Tableau, active_block, build, enter, leave, strayed
 from bayeq.inference.gram import GramLike
@@ -155,6 +156,7 @@ def rvm(gram: GramLike, prior: Prior | None = None, *, least_gamma: float = 0.0,
     """
     if prior is not None:
         prior.refuse_signs("rvm")
+    whole_number("max_iter", max_iter, 1)
     gamma, T, noise, steps, converged = rvm_ascent(
         gram_columns(gram), np.ascontiguousarray(gram.Dty), gram.yty, gram.dof, max_iter
     )

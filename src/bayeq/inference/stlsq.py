@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from bayeq.arrays import Bools, Floats
-from bayeq.errors import InputError
+from bayeq.errors import InputError, whole_number
 from bayeq.inference.gram import Gram, GramLike, dense
 from bayeq.inference.posterior import Constant, Details, Posterior
 from bayeq.inference.prior import Prior
@@ -126,6 +126,7 @@ def stlsq(
     least squares on the chosen terms.
     """
     del prior
+    whole_number("max_iter", max_iter, 1)
     if not (threshold >= 0 and ridge >= 0 and max_iter >= 1):
         raise InputError("need threshold >= 0, ridge >= 0 and max_iter >= 1")
     K, c = _moments(gram, centred)

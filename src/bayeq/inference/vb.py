@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from bayeq.arrays import Bools, Floats, Ints
-from bayeq.errors import InputError
+from bayeq.errors import InputError, whole_number
 from bayeq.inference.collapsed.problem import Problem, fetch
 from bayeq.inference.collapsed.search import RVM_START_TERMS, candidate_models, default_starts, greedy_model, neighbours
 from bayeq.inference.collapsed.tableau import GAIN_TOLERANCE, expit
@@ -306,6 +306,9 @@ def spike_slab_vb(
     """
     prior = prior or Prior()
     prior.refuse_signs("vb")
+    whole_number("max_iter", max_iter, 1)
+    if not (isinstance(tolerance, (int, float, np.number)) and 0.0 <= tolerance < np.inf):
+        raise InputError(f"tol must be a number from 0 on, got {tolerance!r}")
     problem = Problem.of(gram, prior)
     starts, taus, tested = _starts(problem, init, models)
     best_w, best = _best_ascent(problem, starts, taus, tolerance, max_iter)

@@ -162,7 +162,8 @@ def _described(experiments: Experiments, name: str, reading: Reading) -> RecordI
     for below, base in of_base.values():
         why = f"{clues[base].why}; of the base against which {below} is measured"
         clues = {**clues, base: replace(clues[base], order=INPUT, why=why)}
-    links = find_links(short, [key for key in moving if key not in {base for _, base in of_base.values()}])
+    bases = {base for _, base in of_base.values()}
+    links = find_links(short, [key for key in moving if key not in bases])
     derived = {key for link in links for key in (link.below, link.above)}
     other = (INPUT, REFERENCE)
     free = [key for key in moving if key not in derived and clues[key].order not in other and not clues[key].by_unit]

@@ -141,9 +141,8 @@ def find_links(record: Record, names: Sequence[str]) -> list[Link]:
         if rates[q] < NOT_SLOWER * rates[p]:
             continue
         for order in (1, 2):
-            stated = p in record.units and q in record.units
-            expected = derivative_ratio(record.units[p], record.units[q], order) if stated else None
-            if stated and expected is None:  # no units of a motion and this derivative
+            expected = _stated(record, p, q, order)
+            if expected is None and p in record.units and q in record.units:  # no units of a motion and this derivative
                 continue
             relation = relate(record.time, record[p], record[q], order, frames)
             if relation is not None and _is_derivative(relation, expected, rates[q] / rates[p], frames):

@@ -23,6 +23,7 @@ WARMTH = {"°C", "K", "degC", "°F", "degF"}
 
 # Words of names in English, German, French, Spanish and Italian, in small letters without accents. Quantities say what
 # is measured; else sensors and places do; else symbols, of which single letters count as the first word alone.
+LEVELS = "level niveau pegel fullstand fuellstand"
 QUANTITIES: Mapping[int, str] = {
     0: "disp displ displacement pos position angle deflection stroke travel weg auslenkung winkel lage ausschlag hub"
     " verschiebung deplacement elongation desplazamiento spostamento",
@@ -31,9 +32,8 @@ QUANTITIES: Mapping[int, str] = {
     INPUT: "force kraft torque moment couple effort fuerza forza voltage volt spannung tension current strom courant"
     " power leistung puissance heizleistung pwm duty command cmd commanded commande befehl stell"
     " inflow zulauf zufluss flow durchfluss debit caudal",
-    STATE: "level niveau pegel fullstand fuellstand temp temperature temperatur concentration konzentration",
+    STATE: f"{LEVELS} temp temperature temperatur concentration konzentration",
 }
-LEVELS = frozenset(["level", "niveau", "pegel", "fullstand", "fuellstand"])
 SENSORS: Mapping[int, str] = {
     0: "lvdt laser encoder poti potentiometer",
     1: "gyro tacho",
@@ -250,7 +250,7 @@ def _said(part: str, table: Mapping[str, int], tier: int, place: int) -> int | N
 
 def names_level(name: str) -> bool:
     """Whether a name says that it is the level of a liquid."""
-    return bool(LEVELS.intersection(_parts(name)))
+    return bool(set(LEVELS.split()) & set(_parts(name)))
 
 
 def guess_roles(

@@ -77,9 +77,11 @@ class Headers:
         index = [] if df.index.name is None else [str(df.index.name)]
         if index and not (is_time_name(clean_name(index[0])[0]) or time == index[0]):
             index = []
-        if not index and time is None and getattr(df.index.dtype, "kind", "O") in "Mm":  # dates, which are nothing else
-            index = [next(name for name in ("t", "time", "timestamp") if name not in map(str, df.columns))]
-        return cls.parse([*index, *map(str, df.columns)], "data frame")
+        columns = list(map(str, df.columns))
+        timed = time is not None or any(is_time_name(name) for name in clean_names(columns)[0])
+        if not index and not timed and getattr(df.index.dtype, "kind", "O") in "Mm":
+            index = ["t"]  # dates, which are nothing else
+        return cls.parse([*index, *columns], "data frame")
 
     def __len__(self) -> int:
         return len(self.names)

@@ -25,6 +25,7 @@ from bayeq.records.formats import excel, format_of, gz, text, writers
 from bayeq.records.formats.excel import without_sheet
 from bayeq.records.formats.nested import read_pieces
 from bayeq.records.record import Record
+from bayeq.records.validate import without_mask
 
 #: Size, and time of change.
 FileState = tuple[int, int]
@@ -363,17 +364,12 @@ def _is_data(source: Any) -> bool:
     return all(hasattr(source, name) for name in ("u", "y", "sampling_time"))
 
 
-def _without_masked(values: Any) -> Any:
-    """An array, NaN where it is masked."""
-    return np.ma.filled(values.astype(float), np.nan) if np.ma.isMaskedArray(values) else np.asarray(values)
-
-
 def _from_mapping(source: Mapping[Any, Any], t: Any) -> Record:
     keys = list(source)
     if not all(isinstance(key, str) for key in keys):
         raise InputError("a mapping of arrays needs text as keys, the names of the channels")
     headers = Headers.parse(keys, "arrays")
-    data = Columns.build(headers, lambda i: _without_masked(source[keys[i]]))
+    data = Columns.build(headers, lambda i: without_mask(source[keys[i]]))
     if t is None or isinstance(t, str):
         return Record(*assemble(data, Request(time=t), name="")[0][:4])
     return Record(dict(zip(data.names, data.values, strict=True)), np.asarray(t), data.headers.stated_units())

@@ -17,10 +17,8 @@ from bayeq.records.names import clean_name
 
 def as_column(values: Any, what: str, where: str) -> Floats:
     """A float64 array of one dimension, or a RecordError that says what is wrong with it."""
-    # numpy.ma, which takes a while to import, is asked about subclasses alone
-    masked = type(values) is not np.ndarray and isinstance(values, np.ndarray) and np.ma.isMaskedArray(values)
     try:
-        array = np.ma.filled(values.astype(float), np.nan) if masked else np.asarray(values)
+        array = without_mask(values)
     except ValueError as error:  # nested lists of unequal lengths
         raise RecordError(f"{where}: {what} is not an array of numbers: {error}") from None
     if array.dtype.kind == "c":
@@ -30,6 +28,12 @@ def as_column(values: Any, what: str, where: str) -> Floats:
     if array.ndim != 1:
         raise RecordError(f"{where}: {what} has shape {array.shape}; give one array of one dimension per channel")
     return array.astype(np.float64, copy=False)
+
+
+def without_mask(values: Any) -> NDArray[Any]:
+    """An array, NaN where it is masked; numpy.ma, which takes a while to import, is asked about subclasses alone."""
+    masked = type(values) is not np.ndarray and isinstance(values, np.ndarray) and np.ma.isMaskedArray(values)
+    return np.ma.filled(values.astype(float), np.nan) if masked else np.asarray(values)
 
 
 def as_time(values: Any, where: str) -> Floats:
@@ -148,6 +152,21 @@ SECONDS: Mapping[str, float] = {
     "h": 3600.0, "hr": 3600.0, "hour": 3600.0, "hours": 3600.0,
     "d": 86400.0, "day": 86400.0, "days": 86400.0, "Tag": 86400.0, "Tage": 86400.0, "week": 604800.0, "weeks": 604800.0,
 }  # fmt: skip
+
+
+def other_step(values: Floats, unit: str, fs: float) -> float | None:
+    """The median step [s] of a column that looks like time, where it rises, and not at a rate of fs to 1 %.
+
+    Examples
+    --------
+    >>> ms = np.arange(5.0)
+    >>> other_step(ms, "ms", 500.0), other_step(ms, "ms", 1000.0)
+    (0.001, None)
+    """
+    with np.errstate(invalid="ignore"):  # of infinite times
+        steps = np.diff(values)
+        step = float(np.median(steps)) * SECONDS.get(unit, 1.0) if len(steps) else 0.0
+    return step if step > 0.0 and not 0.99 < fs * step < 1.01 else None
 
 
 # A step over midnight is no longer than this many usual ones.
