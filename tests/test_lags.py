@@ -19,7 +19,7 @@ from bayeq.likelihood.layout import Candidates
 from bayeq.likelihood.linear import linearise
 from bayeq.likelihood.start import start_from
 from bayeq.regression.design import build_design
-from bayeq.states import Lag, Roles, estimate_motion, known_sensors, without_lags
+from bayeq.states import Lag, Roles, Sensors, corrected, estimate_motion, known_sensors
 
 SD = 0.03
 ASKED = {"chains": ["x:v:a"], "inputs": ["u"], "dictionary": ["x", "v", "u", "x**2", "x**3", "v**3", "v*abs(v)"]}
@@ -104,7 +104,7 @@ def test_samples_are_moved_to_the_times_they_are_of():
     u = np.sin(7.0 * (t - 0.023))
     u[100] = np.nan
     record = bq.Record.from_arrays(x=np.cos(t), u=u, fs=100.0, units={"u": "N"})
-    moved = without_lags(record, {"u": Lag(0.023, 0.001, 0.03)})
+    moved = corrected(record, Sensors(lags={"u": Lag(0.023, 0.001, 0.03)}))
     known = np.isfinite(moved["u"])
     assert moved.n == record.n
     assert np.flatnonzero(~known).tolist() == [97, 98, 397, 398, 399]
@@ -112,7 +112,7 @@ def test_samples_are_moved_to_the_times_they_are_of():
     assert np.abs(moved["u"] - np.sin(7.0 * t))[inside].max() < 1e-3
     assert moved["x"] is record["x"] or np.array_equal(moved["x"], record["x"])
     assert moved.units == record.units
-    assert np.isfinite(without_lags(record, {"u": Lag(0.023, 0.001, 0.03)}, whole=True)["u"]).all()
+    assert np.isfinite(corrected(record, Sensors(lags={"u": Lag(0.023, 0.001, 0.03)}), whole=True)["u"]).all()
 
 
 @pytest.mark.parametrize("name", ["x", "v", "a", "u"])

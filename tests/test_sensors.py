@@ -140,14 +140,13 @@ def test_calibration_against_records_with_other_factors(channel):
 
 def test_calibration_is_added_to_what_the_record_leaves():
     record = bq.simulate("duffing", n=1000, seed=2)
-    without, given = (
-        quietly(record, **OSCILLATOR, dictionary=TERMS, gain_sd=gain_sd) for gain_sd in ({}, {"x": 0.01, "u": 0.005})
-    )
+    asked = {**OSCILLATOR, "chains": ["x::"], "dictionary": ["x", "dx", "x**3", "u"]}  # no channel tells x's factor
+    without, given = (quietly(record, **asked, gain_sd=gain_sd) for gain_sd in ({}, {"x": 0.01, "u": 0.005}))
     before, after = without[0].posterior, given[0].posterior
-    added = np.array([0.01, 0.0, 0.03, 0.005]) * after.coef
+    added = np.array([[0.0, 0.0, 0.02, 0.01], [0.0, 0.0, 0.0, 0.005]]) * after.coef
     assert after.coef == pytest.approx(before.coef, rel=1e-12)
     # the equation holds on the smoothed rows but for what noise leaves
-    assert after.sd == pytest.approx(np.sqrt(before.sd**2 + added**2), rel=0.05)
+    assert after.sd == pytest.approx(np.sqrt(before.sd**2 + (added**2).sum(axis=0)), rel=0.05)
     assert given[0].shown_posterior.sd == pytest.approx(after.sd)
     assert (after.averaged.sd >= before.averaged.sd).all()
     assert "intervals include the calibration: x 1 %, u 0.5 %" in str(given)

@@ -129,7 +129,8 @@ class _Method(click.Choice):  # type: ignore[type-arg]  # generic in the latest 
     "--gain-sd",
     "gain_sd",
     multiple=True,
-    help="Uncertainty of a sensor's calibration, which intervals take in: x=0.01 for 1 %. Once per channel.",
+    help="Uncertainty of a sensor's calibration: x=0.01 for 1 %. Other channels of its chain tell the factor; intervals"
+    " take in the rest. Once per channel.",
 )
 @opt.sure(
     "--lag-sd",

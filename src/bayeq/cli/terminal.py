@@ -89,7 +89,7 @@ STAGES = {
     "reading": "reading the file",
     "states": "smoothing the motion",
     "dictionary": "evaluating the candidate terms",
-    "lags": "learning the lags of channels",
+    "sensors": "learning lags and factors of channels",
     "likelihood": "learning path and noise of the record",
     "inference": "weighing the terms",
 }

@@ -165,7 +165,8 @@ def discover(
         then not learned from the record. 0 is a channel without noise. ``"5% of reading"`` is noise in proportion to
         what is measured, sample by sample; with ``"% of reading"`` its share is learned, and a constant part beside it.
     gain_sd : mapping of str to float, optional
-        Uncertainty of the calibration of sensors, 0.01 for a factor known to 1 %: the intervals take it in.
+        Uncertainty of the calibration of sensors, 0.01 for a factor known to 1 %. Other channels of the chain tell the
+        factor as far as they can; the intervals take in the rest.
     lag_sd : mapping of str to float, optional
         Channels that may be late or early, with the standard deviation of their lag [s], which has mean 0: a sample at
         time t is of time t - lag, so that a late channel has a positive one. Lags are learned from the record, taken

@@ -44,20 +44,20 @@ from bayeq.records import UNKNOWN_TIME, Record, check_messages, counts_rows, wit
 from bayeq.regression.by_likelihood import regressions_of
 from bayeq.regression.constraints import CONSERVED, Constraints, parse_constraints, parse_ties
 from bayeq.regression.design import Design, build_design, screened
-from bayeq.regression.joint import fit_equations, lags_of_design, record_of
+from bayeq.regression.joint import fit_equations, record_of, sensors_of_design
 from bayeq.resumable import Progress
 from bayeq.states import (
     Motion,
     Roles,
     Smooth,
     Tails,
+    corrected,
     estimate_motion,
     known_sensors,
     measured_apart,
     require_in_range,
     require_steps,
     require_varying,
-    without_lags,
 )
 from bayeq.states.bad_samples import Learned
 from bayeq.states.motion import cut_at, held_out_share
@@ -80,8 +80,8 @@ CONTRADICTED = 5.0
 # Equations without hidden states are shown unless the record is likelier with them by more nats.
 CLEARLY = 3.0
 
-# Lags are learned in rounds, until none moves by more than this share of its standard deviation.
-LAG_ROUNDS, LAG_FOUND = 8, 0.1
+# Lags and factors are learned in rounds, until none moves by more than this share of its standard deviation.
+SENSOR_ROUNDS, SENSOR_FOUND = 8, 0.1
 
 # Channels are checked against each other with straight lines over missing samples if these are a smaller share: cut off
 # peaks make a factor smaller by some nine times that.
@@ -192,8 +192,10 @@ class Question:
         likelihood = record if found is None else found[1]
         if likelihood is not None:
             motion = likelihood.told(motion)
-            if motion.sensors.lags:
-                motion = replace(motion, sensors=replace(motion.sensors, lags=likelihood.lags))
+            sensors = motion.sensors
+            if sensors.lags or sensors.gains:
+                gains = {name: likelihood.calibration.gains[name] for name in sensors.gains}
+                motion = replace(motion, sensors=replace(sensors, lags=likelihood.lags, gains=gains))
         log.collected[before:before] = [(one, DataWarning) for one in _channel_messages(motion, pieces)]
         data = DataSummary.of(pieces, motion, found is not None)
         answer = Equations(
@@ -320,33 +322,40 @@ class Question:
         warn_of_rates(records, roles, log)
         warn_of_sensors(motion, {*self.noise, *self.gain_sd, *self.lag_sd}, log)
         warn_of_blows(pieces, roles.inputs, sensors.noise, log)
-        if self.lag_sd:
-            motion = self._without_lags(motion, pieces, whole)
+        motion = self._calibrated(motion, pieces, whole)
         _inspect(motion, pieces, self.holdout, log)
         return motion, pieces
 
-    def _without_lags(self, motion: Motion, pieces: Sequence[Record], whole: Whole | None) -> Motion:
-        """The motion of channels whose lags are taken out, as the likelihood of the record finds them."""
-        if whole is not None:
+    def _calibrated(self, motion: Motion, pieces: Sequence[Record], whole: Whole | None) -> Motion:
+        """The motion of channels whose lags and factors are taken out, as the likelihood of the record finds them."""
+        sensors = motion.sensors
+        by_likelihood = self.smooth == "auto" and motion.smoothing and not any(map(counts_rows, pieces))
+        measured = [[name for name in chain.measured if name is not None] for chain in motion.roles.chains]
+        if by_likelihood and whole is None:  # of one channel of a chain nothing tells the factor
+            several = [name for names in measured if len(names) > 1 for name in names if sensors.gain_sd.get(name)]
+            sensors = replace(sensors, gains={name: sensors.gain(name) for name in several})
+        if not self.lag_sd and not sensors.gains:
+            return motion
+        if self.lag_sd and whole is not None:
             raise NotStreamed("lag_sd: lags are learned from a record in memory: choose some rows, --rows")
-        if self.smooth != "auto" or not motion.smoothing or any(map(counts_rows, pieces)):
+        if not by_likelihood:
             raise InputError(
                 "lag_sd: lags are learned by the likelihood of the record: use smooth='auto', time and more rows, or"
                 " shift the channel (bayeq.correct_delay)"
             )
-        if motion.sensors.lags.keys() >= {*motion.roles.measured, *motion.roles.inputs}:
+        if sensors.lags.keys() >= {*motion.roles.measured, *motion.roles.inputs}:
             raise InputError("lag_sd: only lags against other channels show: leave out a channel that is the clock")
         terms, known = _in_radians(self.terms, self.known, _units(pieces, motion.roles, WarningLog()), WarningLog())
         terms, allowed = self._kept(terms, known, motion, WarningLog())
         lags, moved = first_lags(motion, self._with_values(terms, motion, whole)), math.inf
-        for k in range(LAG_ROUNDS):
-            self.step("lags", k, LAG_ROUNDS)
-            sensors = replace(motion.sensors, lags=lags)
+        sensors = replace(sensors, lags=lags)
+        for k in range(SENSOR_ROUNDS):
+            self.step("sensors", k, SENSOR_ROUNDS)
             motion = estimate_motion(pieces, motion.roles, self.smooth, motion.holdout, sensors, self.band)
-            if moved < LAG_FOUND:
+            if moved < SENSOR_FOUND:
                 break
             design = build_design(self._with_values(terms, motion, whole), motion, allowed=allowed)
-            lags, moved = lags_of_design(design, self.dictionary, self.prior)
+            sensors, moved = sensors_of_design(design, self.dictionary, self.prior)
         return motion
 
     def _kept(
@@ -514,7 +523,7 @@ def _channel_messages(motion: Motion, records: Sequence[Record]) -> list[str]:
     roles = motion.roles.seen
     if roles.discrete:
         return []
-    records = [without_lags(record, motion.sensors.lags) for record in records]
+    records = [corrected(record, motion.sensors) for record in records]
     present = [bridged_record(record, roles, MOST_BRIDGED) for record in records]
     stepping = roles.targets if "hold" in motion.courses.values() else ()
     chains, rows = [chain.measured for chain in roles.chains], [record.n for record in records]

@@ -96,7 +96,7 @@ def given_of(eq: Answer) -> list[str]:
     if known.gain_sd:
         listed = ", ".join(f"{name} {100 * sd:.3g} %" for name, sd in known.gain_sd.items())
         out.append(f"intervals {'do not include' if eq.refined else 'include'} the calibration: {listed}")
-    out += lags_of(eq)
+    out += learned_of(eq)
     if eq.refined:
         out.append(str(eq.refined))
     if eq.constraints:
@@ -113,9 +113,10 @@ def hidden_of(eq: Answer) -> list[str]:
     return out
 
 
-def lags_of(eq: Answer) -> list[str]:
-    """Lags of channels, which were learned."""
-    return [f"lag of {name}: {lag} (learned)" for name, lag in eq.data.sensors.lags.items()]
+def learned_of(eq: Answer) -> list[str]:
+    """Lags and factors of channels, which were learned."""
+    found = {"lag": eq.data.sensors.lags, "factor": eq.data.sensors.gains}
+    return [f"{what} of {name}: {one} (learned)" for what, learned in found.items() for name, one in learned.items()]
 
 
 def source_of(eq: Answer, short: bool = False) -> str:

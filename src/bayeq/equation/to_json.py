@@ -54,7 +54,7 @@ def to_dict(eq: Answer) -> dict[str, Any]:
             **{
                 name: value
                 for name, value in asdict(eq.data.sensors).items()
-                if name not in ("lags", "of_reading") or value
+                if name not in ("lags", "gains", "of_reading") or value
             },
             "units": {name: unit for equation in eq.equations for name, unit in equation.units.items()},
         },

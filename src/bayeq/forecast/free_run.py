@@ -29,7 +29,7 @@ from bayeq.inference.posterior import Projected
 from bayeq.numerics.rk4 import Drive, check_interpolation, free_runs, interpolant, shoot
 from bayeq.numerics.settings import FORECAST
 from bayeq.records import Record
-from bayeq.states import Sensors, Smooth, estimate_motion, rates, without_lags
+from bayeq.states import Sensors, Smooth, corrected, estimate_motion, rates
 from bayeq.states.prepare import inputs_filled
 
 if TYPE_CHECKING:
@@ -135,8 +135,8 @@ def forecast(
     check_interpolation(interpolation)
     time = require_time(record, "a free run")
     raw = record
-    if sensors is not None and sensors.lags:
-        record = without_lags(record, sensors.lags, whole=True)
+    if sensors is not None:
+        record = corrected(record, sensors, whole=True)
     window = window_of(record, start, rows)
     draws = whole_number("draws", draws, 0)
     part = inputs_filled(record.slice(window.start, window.stop), dynamics.inputs)

@@ -22,7 +22,7 @@ from bayeq.expressions.implicit import solved
 from bayeq.expressions.nodes import jumps_of, replaced
 from bayeq.likelihood.low_pass import feedback
 from bayeq.likelihood.signs import mean_of_jumps
-from bayeq.states import Lag, Roles, rates
+from bayeq.states import Gain, Lag, Roles, rates
 
 Course = Literal["smooth", "linear", "hold", "cubic", "band-limited"]
 
@@ -89,6 +89,7 @@ class Layout:
     stated: tuple[Stated, ...] = ()  # what is known of coefficients before
     # channels that may be late, and what of their lags has been taken out of their samples
     late: tuple[tuple[int, Lag], ...] = ()
+    uncertain: tuple[tuple[int, Gain], ...] = ()  # the same of channels whose factor may be off
 
     @property
     def discrete(self) -> bool:

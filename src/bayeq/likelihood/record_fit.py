@@ -21,6 +21,7 @@ from bayeq.likelihood.adequacy import Adequacy, adequacy_of, power_of
 from bayeq.likelihood.block import Block, at_its_path
 from bayeq.likelihood.courses import with_other_inputs
 from bayeq.likelihood.fit import Quadratic, State, candidates, of_stated, solved
+from bayeq.likelihood.gains import Calibration, calibration_of
 from bayeq.likelihood.hidden import law_constants, with_laws_of
 from bayeq.likelihood.lags import lags_of
 from bayeq.likelihood.layout import Stated
@@ -34,7 +35,7 @@ from bayeq.likelihood.unequal import with_unequal_noise
 from bayeq.likelihood.unknowns import first_members, joint_covariance, settled, with_constants
 from bayeq.numerics.rk4 import Interpolation
 from bayeq.numerics.settings import LIKELIHOOD
-from bayeq.states import Lag, Motion, with_paths
+from bayeq.states import Lag, Motion, Sensors, with_paths
 
 # Stretches in which long records are searched at first.
 STRETCHES = 4
@@ -204,9 +205,8 @@ class RecordFit:
     def _jointly(self, power: float) -> tuple[Floats, tuple[ConstantEstimate, ...]] | None:
         if not self.task.layout.has_constants:
             return None
-        task = replace(self.task, precision=LIKELIHOOD.unshrunk * self.task.precision, recent=[])
         with np.errstate(all="ignore"):
-            return joint_covariance(task, self._unshrunk[0], power)
+            return joint_covariance(self._hardly_shrunk, self._unshrunk[0], power)
 
     def constants(self, c: int, power: float = 1.0) -> tuple[ConstantEstimate, ...]:
         """Constants inside the candidates of equation c, with intervals of a power of the likelihood."""
@@ -237,11 +237,20 @@ class RecordFit:
             return replace(state, theta=theta), covariance
 
     @cached_property
+    def calibration(self) -> Calibration:
+        """Of channels whose factors may be off, what was taken out of the samples included."""
+        with np.errstate(all="ignore"):
+            return calibration_of(self._hardly_shrunk, self._unshrunk[0], self.fitted.power)
+
+    @property
+    def _hardly_shrunk(self) -> Task:
+        return replace(self.task, precision=LIKELIHOOD.unshrunk * self.task.precision, recent=[])
+
+    @cached_property
     def lags(self) -> Mapping[str, Lag]:
         """Of channels that may be late, what was taken out of the samples included."""
-        task = replace(self.task, precision=LIKELIHOOD.unshrunk * self.task.precision, recent=[])
         with np.errstate(all="ignore"):
-            return lags_of(task, self._unshrunk[0], self.fitted.power)
+            return lags_of(self._hardly_shrunk, self._unshrunk[0], self.fitted.power)
 
     def projectable(self, c: int, model: Bools) -> bool:
         """Whether the smoothed right-hand side of equation c is known with the terms of a model, (P,) bool."""
@@ -496,10 +505,10 @@ def as_likely(task: Task, fitted: Fitted, others: Sequence[tuple[Task, Fitted]])
     return tuple(found)
 
 
-def learned_lags(
+def learned_sensors(
     motion: Motion, terms: Sequence[Expression], log_odds: Floats, grams: Sequence[Gram]
-) -> tuple[Mapping[str, Lag], float]:
-    """Lags of channels, as a first fit of a dictionary to the training rows of some motion finds them.
+) -> tuple[Sensors, float]:
+    """Lags and factors of channels, as a first fit of a dictionary to the training rows of some motion finds them.
 
     Also how far the farthest is from what has been taken out, in standard deviations. Arguments are as for
     `fit_record`; a LinAlgError says that the likelihood cannot be evaluated.
@@ -508,9 +517,11 @@ def learned_lags(
         some, _ = _stretches(motion)
         task, states = start_from(some, terms, grams, first_members(some, terms, log_odds), None)
         task, fitted = from_starts(task, states)
-        lags = lags_of(task, finished(task, fitted).state)
-    before = motion.sensors.lags
-    return lags, max((abs(one.value - before[name].value) / one.sd for name, one in lags.items()), default=0.0)
+        state, before = finished(task, fitted).state, motion.sensors
+        lags, found = lags_of(task, state), calibration_of(task, state)
+    moved = [abs(one.value - before.lags[name].value) / one.sd for name, one in lags.items()]
+    gains = {name: found.gains[name] for name in before.gains}
+    return replace(before, lags=lags, gains=gains), max(*moved, found.moved if gains else 0.0, 0.0)
 
 
 def refit_record(

@@ -71,8 +71,12 @@ def start_from(
     known = _known_noise(motion)
     inputs = [_input(name, pieces, known.get(name), SMOOTHNESS) for name in roles.inputs]
     layout = _with_inputs(Layout(roles, tuple(terms), motion.unit_gains, drift=_drift(motion)), inputs)
-    lags = motion.sensors.lags
-    layout = replace(layout, late=tuple((i, lags[name]) for i, (name, _) in enumerate(layout.channels) if name in lags))
+    sensors, numbers = motion.sensors, {name: i for i, (name, _) in enumerate(layout.channels)}
+    layout = replace(
+        layout,
+        late=tuple((i, sensors.lags[name]) for name, i in numbers.items() if name in sensors.lags),
+        uncertain=tuple((i, sensors.gain(name)) for name, i in numbers.items() if sensors.gain_sd.get(name)),
+    )
     series = tuple(_series(layout, rows) for rows in pieces)
     paths = tuple(_path(layout, rows, [one.paths[i] for one in inputs]) for i, rows in enumerate(pieces))
     readings = [np.column_stack([rows.columns[name] for name, _ in layout.channels]) for rows in pieces]

@@ -52,6 +52,12 @@ class RecordRegression(Regression):
         return self.record.nearly.exact[self.k]
 
     @property
+    def factors(self) -> tuple[tuple[str, ...], Floats]:
+        """As of `Regression`: other channels of a chain tell of them."""
+        found = self.record.calibration
+        return tuple(found.gains), found.covariance
+
+    @property
     def tau(self) -> float:
         """As of `Regression`."""
         return self.record.nearly.tau[self.k]
@@ -179,7 +185,7 @@ REPEATED = 0.1
 def calibrated(regression: Regression, posterior: Posterior, basis: Floats) -> Posterior:
     """The posterior with the uncertainty of the sensors' calibration in its covariances.
 
-    Factors of channels are independent with mean 1. With another factor of a channel the coefficients that explain the
+    With another factor of a channel the coefficients that explain the
     same motion are others: to first order their change is the regression, on the terms, of what the factor changes of
     the target and of the terms.
 
@@ -192,14 +198,13 @@ def calibrated(regression: Regression, posterior: Posterior, basis: Floats) -> P
     basis : (r, f) array
         How the coefficients move with those that are free; the identity where all are.
     """
-    gain_sd, kept = regression.motion.sensors.gain_sd, np.flatnonzero(posterior.support)
-    if not gain_sd or not len(kept):
+    names, known = regression.factors
+    kept = np.flatnonzero(posterior.support)
+    if not names or not len(kept):
         return posterior
-    added, constant = np.zeros((len(kept), len(kept))), 0.0
-    for channel, sd in gain_sd.items():
-        change, of_constant = _change_by_factor(regression, posterior, basis, channel)
-        added += sd**2 * np.outer(change, change)
-        constant += (sd * of_constant) ** 2
+    changes, of_constant = zip(*(_change_by_factor(regression, posterior, basis, name) for name in names), strict=True)
+    added = np.transpose(changes) @ known @ np.array(changes)
+    constant = float(np.array(of_constant) @ known @ np.array(of_constant))
     covariance = posterior.covariance + added
     own, averaged = posterior.constant, posterior.averaged
     if own.left_out is None:

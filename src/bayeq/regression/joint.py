@@ -20,14 +20,14 @@ from bayeq.inference.prior import Prior
 from bayeq.inference.vb import spike_slab_vb
 from bayeq.likelihood.hidden import seen_in
 from bayeq.likelihood.layout import Stated
-from bayeq.likelihood.record_fit import RecordFit, fit_record, learned_lags
+from bayeq.likelihood.record_fit import RecordFit, fit_record, learned_sensors
 from bayeq.numerics.settings import REGRESSION
 from bayeq.regression.by_likelihood import RecordRegression
 from bayeq.regression.constraints import Constraints
 from bayeq.regression.design import Design
 from bayeq.regression.fit import RegressionFit, fit_regression
 from bayeq.regression.regression import Regression
-from bayeq.states import Lag
+from bayeq.states import Sensors
 
 # The ascent of variational Bayes, which gives the evidence lower bound, starts from this many of the best models.
 VB_STARTS = 3
@@ -79,17 +79,17 @@ def record_of(
     return fit_record(design.motion, design.terms, log_odds, design.train, tolerance, tuple(stated), conserved, starts)
 
 
-def lags_of_design(design: Design, dictionary: Specification, prior: Prior | None) -> tuple[Mapping[str, Lag], float]:
-    """Lags of channels, see `bayeq.likelihood.record_fit.learned_lags`.
+def sensors_of_design(design: Design, dictionary: Specification, prior: Prior | None) -> tuple[Sensors, float]:
+    """Lags and factors of channels, see `bayeq.likelihood.record_fit.learned_sensors`.
 
     An InputError says that the likelihood cannot be evaluated.
     """
     try:
-        return learned_lags(design.motion, design.terms, _log_odds(design, dictionary, prior), design.train)
+        return learned_sensors(design.motion, design.terms, _log_odds(design, dictionary, prior), design.train)
     except np.linalg.LinAlgError:
         raise InputError(
-            "lag_sd: lags are learned by the likelihood of the record, which could not be evaluated near its motion:"
-            " give fewer terms, or smaller lags"
+            "lag_sd, gain_sd: both are learned by the likelihood of the record, which could not be evaluated near its"
+            " motion: give fewer terms, or smaller ones"
         ) from None
 
 

@@ -75,6 +75,12 @@ class Regression:
         return 0.0
 
     @property
+    def factors(self) -> tuple[tuple[str, ...], Floats]:
+        """Channels whose factors may be off, and the covariance of these: of rows as it was given."""
+        known = {name: sd for name, sd in self.motion.sensors.gain_sd.items() if sd}
+        return tuple(known), np.diag(np.square(list(known.values())))
+
+    @property
     def constants(self) -> tuple[ConstantEstimate, ...]:
         """Constants inside the candidates, which the likelihood of the records finds."""
         return ()

@@ -19,7 +19,7 @@ from bayeq.records import Record, counts_rows
 from bayeq.states.derive import Smooth, derive_states, known, require_usable, usable
 from bayeq.states.hidden import hidden_columns, hidden_rates
 from bayeq.states.kinematic.chain_smoother import ChainSmoothing, smooth_chain, smooth_further
-from bayeq.states.prepare import bridged_record, complete_rows, filled_in, has_all, on_grid, without_lags
+from bayeq.states.prepare import bridged_record, complete_rows, corrected, filled_in, has_all, on_grid
 from bayeq.states.roles import NEXT, Chain, Roles
 from bayeq.states.sensors import Sensors, bridged, unit_gains
 
@@ -154,9 +154,9 @@ def estimate_motion(
     nothing is smoothed, rows with a missing sample are left out; with "none" they are an error. Less than 10 rows in
     all are differentiated as they are. Records without time are left to `derive_states`, whose errors are those of this
     function. Noise levels are learned from the training rows; the rows held out, the last `share` of each record, are
-    smoothed apart. Noise levels that `sensors` know are not learned; lags are taken out. In `band`, frequencies [Hz],
-    records are believed. An UnknownNameError, RecordError or ChainError names channels that are missing or cannot be
-    used.
+    smoothed apart. Noise levels that `sensors` know are not learned; factors and lags that they know are taken out. In
+    `band`, frequencies [Hz], records are believed. An UnknownNameError, RecordError or ChainError names channels that
+    are missing or cannot be used.
     """
     whole, sensors = smooth == "none", sensors or Sensors()
     if roles.hidden:
@@ -166,7 +166,7 @@ def estimate_motion(
         cuts = tuple(cut_at(rows.n, share) for rows in pieces)
         gains = tuple(np.ones(chain.order + 1) for chain in roles.chains)
         return Motion(roles, pieces, cuts, (), gains, share, sensors, band)
-    records = [without_lags(record, sensors.lags) for record in records]
+    records = [corrected(record, sensors) for record in records]
     if all(record.time is not None for record in records) and sum(record.n for record in records) < STATES.few_rows:
         smooth = "none"
         records = records if whole else [complete_rows(record, roles) for record in records]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from bayeq.states.derive import LARGEST, Smooth, require_usable
 from bayeq.states.kinematic.fit import fit_kinematic
 from bayeq.states.kinematic.smoother import ChainSeries, smooth_kinematic
 from bayeq.states.roles import Roles
-from bayeq.states.sensors import Lag, bridged
+from bayeq.states.sensors import Sensors, bridged
 
 # Fewer rows with all channels are no record.
 LEAST_USABLE = 10
@@ -214,13 +214,17 @@ def on_grid(record: Record, names: Sequence[str]) -> Record:
     return Record(channels=channels, time=grid, units=units, name=record.name)
 
 
-def without_lags(record: Record, lags: Mapping[str, Lag], whole: bool = False) -> Record:
-    """The record with the lags of some channels taken out, by band-limited interpolation, which keeps noise white.
+def corrected(record: Record, sensors: Sensors, whole: bool = False) -> Record:
+    """The record with the factors and lags of its channels that were learned taken out.
+
+    Of lags by band-limited interpolation, which keeps noise white.
 
     Rows at an end of which a channel then has no sample lack it; with `whole` they repeat the nearest one. A
     RecordError says that time is uneven, but for rows that are missing, or a lag as long as the record.
     """
-    lags = {name: lag for name, lag in lags.items() if name in record.channels and lag.value != 0.0}
+    known = [name for name in sensors.gains if name in record.channels]
+    record = with_samples(record, {name: record[name] / sensors.gains[name].value for name in known})
+    lags = {name: lag for name, lag in sensors.lags.items() if name in record.channels and lag.value != 0.0}
     if not lags:
         return record
     record = on_grid(record, list(record.channels))

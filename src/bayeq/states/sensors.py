@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 
@@ -40,17 +40,31 @@ _FORMS = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Lag:
-    """How late a channel is: its sample at time t is of time t less the lag."""
+@dataclass(frozen=True)
+class _Learned:
+    """A number of a channel that the record tells."""
 
-    value: float  # the likeliest lag [s], negative of a channel that is early
+    value: float  # the likeliest
     sd: float  # its standard deviation
-    prior_sd: float  # what was given: the standard deviation of its normal prior of mean 0
+    prior_sd: float  # what was given: the standard deviation of its normal prior
+
+    unit: ClassVar[str] = ""
 
     def __str__(self) -> str:
         digits = max(0, 1 - math.floor(math.log10(self.sd))) if self.sd > 0.0 else 6
-        return f"{self.value:.{digits}f} +- {self.sd:.{digits}f} s"
+        return f"{self.value:.{digits}f} +- {self.sd:.{digits}f}{self.unit}"
+
+
+@dataclass(frozen=True)
+class Gain(_Learned):
+    """The factor of a channel, about 1: its sample is that many times what it measures."""
+
+
+@dataclass(frozen=True)
+class Lag(_Learned):
+    """How late a channel is: its sample at time t is of time t less the lag [s], negative of one that is early."""
+
+    unit: ClassVar[str] = " s"
 
 
 @dataclass(frozen=True)
@@ -65,6 +79,11 @@ class Sensors:
     lags: Mapping[str, Lag] = field(default_factory=dict)  # of channels that may be late
     # share of noise that is in proportion to what is measured; 0 where it is to be learned
     of_reading: Mapping[str, float] = field(default_factory=dict)
+    gains: Mapping[str, Gain] = field(default_factory=dict)  # factors that other channels of a chain tell
+
+    def gain(self, name: str) -> Gain:
+        """What is known of the factor of a channel of `gain_sd`."""
+        return self.gains.get(name, Gain(1.0, self.gain_sd[name], self.gain_sd[name]))
 
     def noisy(self, name: str) -> bool:
         """Whether noise was given that is not zero."""

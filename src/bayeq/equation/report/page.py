@@ -26,7 +26,7 @@ from bayeq.equation.brief import checks, failed, law_in_symbols, sentence, table
 from bayeq.equation.equation import Equation
 from bayeq.equation.explain import explanation
 from bayeq.equation.physical import own_parameters
-from bayeq.equation.text import MARK, hidden_of, lags_of, rows_of, unseen
+from bayeq.equation.text import MARK, hidden_of, learned_of, rows_of, unseen
 from bayeq.equation.written import round_to
 from bayeq.errors import BayeqError, BayeqWarning, InputError, needing
 from bayeq.expressions.parse import EARLIER
@@ -416,7 +416,7 @@ def _equation(one: Equation, eq: Answer) -> dict[str, Any]:
         "verdict": str(one.verdict) if len({other.verdict.kind for other in eq.equations}) > 1 else "",
         "none": one.verdict.kind == "none",
         "checks": [
-            *([checks(eq), *hidden_of(eq), *lags_of(eq)] if one is eq.equations[0] else []),
+            *([checks(eq), *hidden_of(eq), *learned_of(eq)] if one is eq.equations[0] else []),
             *failed(one),
             *unseen(one),
         ],
@@ -479,6 +479,7 @@ def _data(eq: Answer) -> dict[str, str]:
         "estimated": ", ".join(source.estimated),
         "noise given": ", ".join(f"{name} {sd:.3g}" for name, sd in known.noise.items()),
         "calibration": ", ".join(f"{name} {100 * sd:.3g} %" for name, sd in known.gain_sd.items()),
+        "factors": ", ".join(f"{name} {gain}" for name, gain in known.gains.items()),
         "lags": ", ".join(f"{name} {lag}" for name, lag in known.lags.items()),
         "tails": "" if known.tails == "gauss" else known.tails,
         "constraints": "; ".join(eq.constraints),

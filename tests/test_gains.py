@@ -1,0 +1,108 @@
+"""Factors of channels that may be off: learned from the other channels of a chain, one number for all records."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import bayeq as bq
+from bayeq.equation.brief import brief
+from bayeq.likelihood.gains import calibration_of
+from bayeq.states import Gain
+
+TRUE = {"x": -1000.0, "v": -2.0, "x**3": -1e5, "u": 1.0}  # of the simulated Duffing oscillator
+FACTORS = {"x": 1.008, "v": 0.994, "a": 1.012, "u": 0.995}
+ASKED = {"chains": "x:v:a", "inputs": ["u"], "dictionary": [*TRUE, "x**2", "v*abs(v)"]}
+
+
+def drawn(seed):
+    """A record of sensors that are off by `FACTORS`."""
+    clean = bq.simulate("duffing", n=1500, seed=seed, noise=0.02)
+    channels = {name: factor * clean[name] for name, factor in FACTORS.items()}
+    return bq.Record.from_arrays(channels, time=clean.time, units={**clean.units})
+
+
+def quietly(*arguments, **options):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return bq.discover(*arguments, **{**ASKED, "gain_sd": dict.fromkeys("xvau", 0.01), **options})
+
+
+@pytest.fixture(scope="module")
+def answers():
+    """Of one record, and of two."""
+    return quietly(drawn(3)), quietly([drawn(3), drawn(4)])
+
+
+def test_factors_are_found_as_far_as_channels_tell_them(answers):
+    one, both = answers
+    for answer in answers:
+        found = answer.data.sensors.gains
+        assert set(found) == set("xva")
+        for a, b in ("xv", "va", "xa"):
+            assert found[a].value / found[b].value == pytest.approx(FACTORS[a] / FACTORS[b], abs=2e-3)
+        # the three have a factor in common, of which the record tells nothing: that of three independent ones
+        assert [gain.sd for gain in found.values()] == pytest.approx([0.01 / 3**0.5] * 3, rel=0.05)
+    assert one.verdict.kind == both.verdict.kind == "found"
+
+
+def test_coefficients_that_a_common_factor_leaves_are_as_well_known_as_without(answers):
+    exact = quietly(bq.simulate("duffing", n=1500, seed=3, noise=0.02), gain_sd=None)[0]
+    # two factors of the motion in x**3; that of u, and that of the motion, in u
+    shares = {"x": 0.0, "v": 0.0, "x**3": 0.02 / 3**0.5, "u": (4 / 3) ** 0.5 * 0.01}
+    for (equation,) in answers:
+        assert set(equation.shown) == set(TRUE)
+        names, sds = equation.posterior.names, equation.shown_posterior.sd
+        for name, sd, others in zip(names, sds, exact.shown_posterior.sd, strict=True):
+            if name in TRUE:
+                assert abs(equation.shown_coef[name] - TRUE[name]) < 3.0 * sd
+                assert sd < 1.3 * np.hypot(others, shares[name] * abs(TRUE[name]))
+                assert sd > 0.95 * shares[name] * abs(TRUE[name])
+
+
+def test_calibration_against_the_marginal_likelihood_of_moved_samples(answers):
+    record = answers[0][0].fit.regression.record
+    task, state = record.task, record.fitted.state
+    found, known = calibration_of(task, state), [gain for _, gain in task.layout.uncertain]
+    seen = [[s.samples - one.residual for s, one in zip(task.series, task.linearised(state), strict=True)]][0]
+
+    def value(factors):
+        moved = np.zeros(len(task.layout.channels))
+        moved[[i for i, _ in task.layout.uncertain]] = factors
+        series = tuple(s._replace(samples=s.samples - moved * at) for s, at in zip(task.series, seen, strict=True))
+        beside = [(gain.value * (1.0 + f) - 1.0) / gain.prior_sd for gain, f in zip(known, factors, strict=True)]
+        return replace(task, series=series, recent=[]).value(state) - 0.5 * float(np.square(beside).sum())
+
+    # the likelihood of a linearised model is quadratic in factors
+    step, axes = 1e-3, np.eye(len(known))
+    slope = np.array([value(step * e) - value(-step * e) for e in axes]) / (2 * step)
+    bend = [[sum(s * t * value(step * (s * e + t * f)) for s in (1, -1) for t in (1, -1)) for e in axes] for f in axes]
+    covariance = np.linalg.inv(-np.array(bend) / (4 * step**2))
+    taken = np.array([gain.value for gain in known])
+    np.testing.assert_allclose(found.covariance, covariance * np.outer(taken, taken), rtol=1e-3, atol=1e-9)
+    values = [gain.value for gain in found.gains.values()]
+    np.testing.assert_allclose(values, taken * (1.0 + covariance @ slope), atol=1e-6)
+
+
+def test_factors_are_printed_saved_and_taken_out_of_other_records(answers, tmp_path):
+    answer = answers[0]
+    line = f"factor of v: {answer.data.sensors.gains['v']} (learned)"
+    assert line in str(answer)
+    assert line in brief(answer)
+    answer.save(tmp_path / "eq.json")
+    again = bq.load(tmp_path / "eq.json")
+    assert again.data.sensors == answer.data.sensors
+    assert isinstance(again.data.sensors.gains["v"], Gain)
+    assert str(again) == str(answer)
+    forgotten = replace(answer, data=replace(answer.data, sensors=replace(answer.data.sensors, gains={})))
+    ours, theirs = (eq.score(drawn(5)).one_step["a"] for eq in (answer, forgotten))
+    assert ours < theirs
+
+
+def test_of_one_channel_of_a_chain_nothing_tells_the_factor():
+    answer = quietly(drawn(3), chains="x::", dictionary=["x", "dx", "u", "x**3"], gain_sd={"x": 0.01})
+    assert not answer.data.sensors.gains
+    assert "gains" not in answer.to_dict()["data"]
