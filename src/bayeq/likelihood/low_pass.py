@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -35,23 +34,27 @@ def feedback(order: int, corner: float, intervals: Floats) -> Floats:
     There are p = `order` states, the corner is in rad/s, intervals, (n,), are in seconds.
     """
     different, which = np.unique(intervals, return_inverse=True)
-    return np.array([_feedback(order, corner * h)[0] * h ** np.arange(1.0 - order, 1.0) for h in different])[which]
+    rows = np.linalg.solve(_free(order).T, _rows(order, corner * different).T).T
+    return (rows * different[:, None] ** np.arange(1.0 - order, 1.0))[which]
 
 
-@lru_cache(maxsize=256)
-def _feedback(order: int, corner: float) -> tuple[Floats, Floats]:
-    """`feedback` of steps of length 1, and the transition matrix (p, p) of the states from one to the next."""
-    poles = np.exp(corner * np.exp(1j * math.pi * (2.0 * np.arange(order) + order + 1.0) / (2.0 * order)))
-    free = np.array([[1.0 / math.factorial(j - i) if j >= i else 0.0 for j in range(order)] for i in range(order)])
-    held = free.copy()
+def _free(order: int) -> Floats:
+    """Transition matrix (p, p) of the states over a step of length 1, at the end of which nothing is fed back."""
+    return np.array([[1.0 / math.factorial(j - i) if j >= i else 0.0 for j in range(order)] for i in range(order)])
+
+
+def _rows(order: int, corners: Floats) -> Floats:
+    """Last row of the transition matrix from one sample to the next, (n, p), for each corner, in steps of length 1."""
+    angles = np.exp(1j * math.pi * (2.0 * np.arange(order) + order + 1.0) / (2.0 * order))
+    coefficients = np.zeros((len(corners), order + 1), dtype=np.complex128)
+    coefficients[:, 0] = 1.0
+    for pole in np.exp(corners * angles[:, None]):  # of the polynomial with these poles
+        coefficients[:, 1:] -= pole[:, None] * coefficients[:, :-1]
+    held = _free(order)
     held[-1] = 0.0
-    last = np.zeros(order)
-    last[-1] = 1.0
-    reached = np.column_stack([np.linalg.matrix_power(held, k) @ last for k in range(order)])
-    wanted = sum(c * np.linalg.matrix_power(held, order - k) for k, c in enumerate(np.real(np.poly(poles)).tolist()))
-    row = -np.linalg.solve(reached.T, last) @ wanted
-    held[-1] = row
-    return np.linalg.solve(free.T, row), held
+    powers = np.array([np.linalg.matrix_power(held, k) for k in range(order + 1)])
+    reached, last = powers[:order, :, -1], np.eye(order)[-1]
+    return -np.real(coefficients) @ (np.linalg.solve(reached, last) @ powers[::-1])
 
 
 def step_variance(order: int, corner: float, interval: float, level: float) -> float:
@@ -59,10 +62,9 @@ def step_variance(order: int, corner: float, interval: float, level: float) -> f
 
     The level is that of the periodogram, whose mean over all frequencies is the variance.
     """
-    _, transition = _feedback(order, corner * interval)
-    last = np.zeros(order)
-    last[-1] = 1.0
-    gain = float(np.linalg.solve(np.eye(order) - transition, last)[0])
+    transition = _free(order)
+    transition[-1] = _rows(order, np.array([corner * interval]))[0]
+    gain = float(np.linalg.solve(np.eye(order) - transition, np.eye(order)[-1])[0])
     return level / gain**2 / interval ** (2 * (order - 1))
 
 
