@@ -59,7 +59,7 @@ def in_units_of(eq: Answer, record: Record) -> tuple[Record, list[str]]:
     InputError for a unit that cannot be converted.
     """
     where, notes = record.name or "record", list[str]()
-    wanted = {name: unit for equation in eq.equations for name, unit in equation.units.items()}
+    wanted = eq.units
     for name in [n for n in eq.roles.channels if n in record.channels and n in wanted and n in record.units]:
         stated = record.units[name]
         factor = conversion(stated, wanted[name])
@@ -118,7 +118,7 @@ def free_run(eq: Answer, record: Record, *, interpolation: Interpolation | None 
         eq.smooth,
         eq.data.sensors,
         interpolation=_between(eq, interpolation),
-        units={name: unit for equation in eq.equations for name, unit in equation.units.items()},
+        units=eq.units,
         **how,
     )
 

@@ -235,6 +235,11 @@ class Answer:
         """Names of the first-order state vector, the order of `rhs`."""
         return tuple(name for chain in self.chains for name in chain.states)
 
+    @property
+    def units(self) -> dict[str, str]:
+        """Units of all channels, as far as they are known."""
+        return {name: unit for equation in self.equations for name, unit in equation.units.items()}
+
     @cached_property
     def roles(self) -> Roles:
         """Chains and inputs, and whether terms use the time."""

@@ -139,8 +139,8 @@ def as_equations_have_them(equations: Equations, record: Record) -> tuple[Record
             f"{where}: the equations are per sample, for their record had no time; find them again with the sampling"
             " rate (--fs, fs=)"
         )
-    wanted = {name: unit for equation in equations for name, unit in equation.units.items()}
-    bare = [n for n in equations.roles.channels if n in record.channels and n in wanted and n not in record.units]
+    wanted, known = equations.units, record.units
+    bare = [n for n in equations.roles.channels if n in record.channels and n in wanted and n not in known]
     record, notes = along.in_units_of(equations, record)
     if bare:
         taken = ", ".join(dict.fromkeys(wanted[name] for name in bare))

@@ -56,7 +56,7 @@ def to_dict(eq: Answer) -> dict[str, Any]:
                 for name, value in asdict(eq.data.sensors).items()
                 if name not in ("lags", "gains", "of_reading") or value
             },
-            "units": {name: unit for equation in eq.equations for name, unit in equation.units.items()},
+            "units": eq.units,
         },
         "equations": [_equation(equation, eq) for equation in eq.equations],
         **({"constants": list(constants.values())} if eq.constants else {}),

@@ -118,7 +118,7 @@ def spectra(eq: style.Answer, record: Record, ax: Any = None, *, channel: str | 
     highest, least = float(whole.max()), float(np.minimum(whole, left)[f <= last].min())
     ax.set_ylim(max(0.1 * least, 1e-12 * highest), 3.0 * highest)
     ax.set_xlabel(style.frequency_label(eq))
-    unit = style.units_of(eq).get(name, "")
+    unit = eq.units.get(name, "")
     ax.set_ylabel(style.plain(f"PSD of {name}" + (f" [{style.bracketed(unit)}²/Hz]" if unit else " [1/Hz]")))
     style.above(ax)
     return ax
@@ -187,7 +187,7 @@ def frequency_response(
             response, phase = (np.where(coherence >= COHERENT, part, np.nan) for part in (response, phase))
         upper.plot(f, np.abs(response), **look)
         lower.plot(f, phase, **look)
-    over, below = (style.units_of(eq).get(one) for one in (name, source))
+    over, below = (eq.units.get(one) for one in (name, source))
     unit = f" [{style.bracketed(over)}/{style.bracketed(below)}]" if over and below else ""
     upper.set_ylabel(style.plain(f"|{name}/{source}|{unit}"))
     lower.set_ylabel("phase [°]")

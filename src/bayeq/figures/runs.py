@@ -364,7 +364,7 @@ def phase_portrait(
         low, high = float(values.min()), float(values.max())
         margin = 0.1 * (high - low) or 1.0
         fit(low - margin, high + margin)
-    ax.set_xlabel(style.label_of(chosen[0], style.units_of(eq)))
-    ax.set_ylabel(style.label_of(chosen[1], style.units_of(eq)))
+    ax.set_xlabel(style.label_of(chosen[0], eq.units))
+    ax.set_ylabel(style.label_of(chosen[1], eq.units))
     style.above(ax, handlelength=1.4, columnspacing=0.9)
     return ax

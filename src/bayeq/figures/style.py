@@ -346,6 +346,8 @@ class Answer(Protocol):
     @property
     def inputs(self) -> tuple[str, ...]: ...
     @property
+    def units(self) -> Mapping[str, str]: ...
+    @property
     def data(self) -> Any: ...  # the summary of the data: holdout, clock, rows_as_time, estimated
     def motion(self, record: Record) -> MotionRows: ...
     def simulate(self, record: Record, *, draws: int = 200, start: int = 0, rows: int | None = None) -> Run: ...
@@ -429,11 +431,6 @@ def label_of(name: str, units: Mapping[str, str], what: str = "{}") -> str:
     """Label of an axis: what is shown of a channel, and its unit where that is known."""
     unit = units.get(name, "")
     return plain(what.format(shortened(name)) + (f" [{unit_text(unit)}]" if unit else ""))
-
-
-def units_of(eq: Answer) -> dict[str, str]:
-    """Units of all channels, as far as they are known."""
-    return {name: unit for equation in eq.equations for name, unit in equation.units.items()}
 
 
 def time_label(eq: Answer) -> str:

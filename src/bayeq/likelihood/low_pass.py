@@ -35,7 +35,7 @@ def feedback(order: int, corner: float, intervals: Floats) -> Floats:
     """
     different, which = np.unique(intervals, return_inverse=True)
     rows = np.linalg.solve(_free(order).T, _rows(order, corner * different).T).T
-    return (rows * different[:, None] ** np.arange(1.0 - order, 1.0))[which]
+    return np.asarray(rows * different[:, None] ** np.arange(1.0 - order, 1.0))[which]
 
 
 def _free(order: int) -> Floats:
