@@ -54,6 +54,16 @@ def test_other_units_of_a_record_are_converted(record: bq.Record, answer: bq.Equ
         answer.score(wrong)
 
 
+def test_records_in_other_units_become_one(record: bq.Record) -> None:
+    second = bq.simulate("duffing", n=800, seed=2)
+    other = second.with_channels({"x": 1e3 * second["x"]}, {"x": "mm"})
+    asked = {"chains": "x:v:a", "inputs": ["u"], "dictionary": "x, v, x**3, u"}
+    with pytest.warns(DataWarning, match="duffing: x was converted from mm to m"):
+        found = bq.discover([record, other], **asked)
+    assert found[0].units["x"] == "m"
+    assert found[0].coef == pytest.approx(bq.discover([record, second], **asked)[0].coef, rel=1e-6)
+
+
 def test_a_rate_that_is_not_that_of_the_time_left_as_a_channel_is_said(record: bq.Record) -> None:
     other = bq.Record.from_arrays({"t": record.time, **record.channels}, fs=500)
     with pytest.warns(BayeqWarning) as said:

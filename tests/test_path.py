@@ -350,8 +350,8 @@ def test_units_reach_the_coefficients(tmp_path, record, eq):
 
 def test_records_in_different_units_are_told_of(record):
     other = bq.simulate("duffing", seed=2)
-    mixed = bq.Record(other.channels, other.time, units={"x": "mm"})
-    with pytest.warns(DataWarning, match="x is in m and in mm, depending on the record"):
+    mixed = bq.Record(other.channels, other.time, units={"x": "kg"})
+    with pytest.warns(DataWarning, match="x is in kg and in m, depending on the record"):
         found = bq.discover([record, mixed], **OSCILLATOR, dictionary=["x", "v", "x**3", "u"])
     assert "x" not in found[0].units
 

@@ -41,6 +41,7 @@ from bayeq.likelihood.record_fit import RecordFit, refit_record
 from bayeq.likelihood.unknowns import first_values
 from bayeq.numerics.settings import LIKELIHOOD, SELECTION
 from bayeq.records import UNKNOWN_TIME, Record, check_messages, counts_rows, without_copies
+from bayeq.records.record import in_units
 from bayeq.regression.by_likelihood import regressions_of
 from bayeq.regression.constraints import CONSERVED, Constraints, parse_constraints, parse_ties
 from bayeq.regression.design import Design, build_design, screened
@@ -147,6 +148,10 @@ class Question:
         if whole is None:
             measured, copies = without_copies(measured, self.roles.channels)
             log.extend(copies, DataWarning)
+            wanted = {name: measured[0].units[name] for name in self.roles.channels if name in measured[0].units}
+            for k, one in enumerate(measured[1:], 1):
+                measured[k], notes, _ = in_units(one, wanted)
+                log.extend([f"{one.name or f'record {k + 1}'}: {note}" for note in notes], DataWarning)
         if because is not None:
             log.warn(because, DataWarning)
         if self.roles.states and not self.roles.discrete and any(map(counts_rows, measured)):

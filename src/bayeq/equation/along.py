@@ -17,7 +17,7 @@ from bayeq.forecast.rows import Courses
 from bayeq.forecast.score import Scores, score_records
 from bayeq.numerics.rk4 import check_interpolation
 from bayeq.records import Record
-from bayeq.records.names import conversion
+from bayeq.records.record import in_units
 from bayeq.states import Roles, Sensors, Smooth, estimate_motion
 from bayeq.states.prepare import cleaned, divided_at_gaps, has_all
 
@@ -58,19 +58,13 @@ def in_units_of(eq: Answer, record: Record) -> tuple[Record, list[str]]:
 
     InputError for a unit that cannot be converted.
     """
-    where, notes = record.name or "record", list[str]()
-    wanted = eq.units
-    for name in [n for n in eq.roles.channels if n in record.channels and n in wanted and n in record.units]:
-        stated = record.units[name]
-        factor = conversion(stated, wanted[name])
-        if factor is None:
-            raise InputError(
-                f"{where}: {name} is in {stated}, in the equations in {wanted[name]}: give its unit (--units), or name"
-                " the channel that is meant (--channel)"
-            )
-        if factor != 1.0:
-            record = record.with_channels({name: factor * record[name]}, {name: wanted[name]})
-            notes.append(f"{name} was converted from {stated} to {wanted[name]}")
+    wanted = {name: unit for name, unit in eq.units.items() if name in eq.roles.channels}
+    record, notes, others = in_units(record, wanted)
+    for name in others:
+        raise InputError(
+            f"{record.name or 'record'}: {name} is in {record.units[name]}, in the equations in {wanted[name]}: give"
+            " its unit (--units), or name the channel that is meant (--channel)"
+        )
     return record, notes
 
 

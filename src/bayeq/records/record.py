@@ -13,7 +13,7 @@ import numpy as np
 from bayeq.arrays import Floats
 from bayeq.errors import RecordError, UnknownNameError, require_kind
 from bayeq.records.columns import Columns, Headers, Request, assemble
-from bayeq.records.names import unit_of_clock
+from bayeq.records.names import conversion, unit_of_clock
 from bayeq.records.validate import (
     as_column,
     as_time,
@@ -528,6 +528,18 @@ def with_samples(record: Record, samples: Mapping[str, Any]) -> Record:
     if not samples:
         return record
     return record.with_channels(samples, {name: record.units[name] for name in samples if name in record.units})
+
+
+def in_units(record: Record, wanted: Mapping[str, str]) -> tuple[Record, list[str], list[str]]:
+    """The record with channels in other units, where both are known; what was converted, and channels that cannot be.
+    """
+    stated = {name: record.units[name] for name in wanted if name in record.channels and name in record.units}
+    factors = {name: conversion(unit, wanted[name]) for name, unit in stated.items()}
+    samples = {name: factor * record[name] for name, factor in factors.items() if factor is not None and factor != 1.0}
+    notes = [f"{name} was converted from {stated[name]} to {wanted[name]}" for name in samples]
+    if samples:
+        record = record.with_channels(samples, {name: wanted[name] for name in samples})
+    return record, notes, [name for name, factor in factors.items() if factor is None]
 
 
 def with_only(record: Record, names: Iterable[str]) -> Record:
