@@ -4,7 +4,8 @@ Duffing oscillators of the paper, parameters perturbed by 10 %, 4,000 rows at 1 
 rows used, 36 candidates. "hum": a line near 50 Hz, of phases of its own, in all channels, and its third harmonic;
 "wandering hum": a random walk of its frequency, of 0.03 Hz in a second; "drift": a random walk in one channel, of half
 of its standard deviation and mean 0 (that of a force is a constant of the equation); "constant": a load that is not
-recorded. The band is 0.5 to 40 Hz; without it for comparison.
+recorded; "slow drifts": in every channel a straight line and a sine, of 0.6 periods in the record, of 0.15 of its
+standard deviation; "offset of x": of 0.3. The band is 0.5 to 40 Hz; without it for comparison.
 
     python -m studies.band > docs/tables/band.csv
 """
@@ -28,9 +29,10 @@ from studies.resumable import Cell, Outcome, run_study
 __all__ = ["TROUBLES", "draw_record", "main"]
 
 TROUBLES = ("none", "hum", "wandering hum", "drift of x", "drift of a", "drift of u", "constant")
+TROUBLES += ("slow drifts", "offset of x")
 RECORDS, ROWS, NOISE, BAND = 20, 4000, 0.02, (0.5, 40.0)
 MAINS, WANDERING = 50.0, 0.03
-HUM, THIRD, DRIFT, LOAD = 0.5, 0.3, 0.5, 20.0
+HUM, THIRD, DRIFT, LOAD, SLOW, OFFSET = 0.5, 0.3, 0.5, 20.0, 0.15, 0.3
 
 
 def draw_record(trouble: str, seed: int) -> Record:
@@ -48,6 +50,13 @@ def draw_record(trouble: str, seed: int) -> Record:
     if trouble.startswith("drift"):
         name, walk = trouble[-1], np.cumsum(rng.normal(size=ROWS))
         channels[name] = channels[name] + DRIFT * channels[name].std() * (walk - walk.mean()) / walk.std()
+    if trouble == "slow drifts":
+        turn = np.linspace(0.0, 1.0, ROWS)
+        for name, values in channels.items():
+            slow = np.sin(1.2 * np.pi * turn + rng.uniform(0.0, 2.0 * np.pi)) + rng.normal() * turn
+            channels[name] = values + SLOW * values.std() * slow
+    if trouble == "offset of x":
+        channels["x"] = channels["x"] + OFFSET * channels["x"].std()
     if trouble == "constant":
         channels["u"] = channels["u"] - LOAD
     return record.with_channels(channels, record.units)

@@ -8,6 +8,7 @@ import pytest
 import bayeq as bq
 from bayeq.cli.app import main
 from bayeq.cli.terminal import COMPILING, PROGRESS
+from bayeq.likelihood.adequacy import octaves_of
 from bayeq.states.prepare import without_hum
 
 pytestmark = pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
@@ -71,6 +72,34 @@ def test_channels_may_drift_below_the_band(drifting):
     sd = dict(zip(found.posterior.names, found.shown_posterior.sd, strict=True))
     for name, value in law.items():
         assert abs(found.shown_coef[name] - value) < 3.5 * sd[name]
+
+
+def test_slow_drifts_are_neither_a_misfit_nor_an_even_term():
+    # a straight line and half a sine in each channel, and offsets; x**2 was found, or less power than that of a walk
+    rec, rng = bq.simulate("duffing", n=2000, seed=5, noise=0.02), np.random.default_rng(5)
+    turn = np.linspace(0.0, 1.0, rec.n)
+    slow = {name: np.sin(np.pi * turn + 6.0 * rng.uniform()) + 2.0 * turn for name in rec.channels}
+    record = rec.with_channels({name: rec[name] + 0.15 * rec[name].std() * slow[name] for name in slow}, rec.units)
+    found = bq.discover(record, chains="x:v:a", inputs=["u"], dictionary=FEW, band=(0.5, 1000))[0]
+    assert set(found.shown) == {"x", "v", "x**3", "u"}
+    assert found.verdict.kind == "found"
+
+
+def test_less_power_than_a_drift_has_is_no_misfit():
+    rng, n, fs = np.random.default_rng(6), 8000, 100.0
+    lines = np.fft.rfft(rng.standard_normal(n))
+    frequency = np.fft.rfftfreq(n, 1.0 / fs)
+    lines[(frequency > 0.4) & (frequency < 0.8)] *= 0.5  # a quarter of the power
+    values = [np.fft.irfft(lines, n)]
+    (low,) = [one for one in octaves_of("x", values, 1.0 / fs) if 0.38 < one.low < 0.4]
+    assert low.ratio < 0.35
+    assert low.p < 1e-6
+    allowed = [one for one in octaves_of("x", values, 1.0 / fs, least=lambda _: 0.2) if one.low == low.low]
+    assert allowed[0].p > 0.1
+    # of more power nothing changes
+    assert [one.p for one in octaves_of("x", values, 1.0 / fs, least=lambda _: 0.2) if one.ratio > 1.0] == [
+        one.p for one in octaves_of("x", values, 1.0 / fs) if one.ratio > 1.0
+    ]
 
 
 def test_hum_is_taken_out_of_all_channels_alike():

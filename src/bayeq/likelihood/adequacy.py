@@ -8,8 +8,9 @@ channel are white: the power of each octave is a share of the whole that a beta 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -191,6 +192,7 @@ def _innovations(
     filtered = [run_filter(one.in_order(order), state.chosen, noise) for one in task.linearised(state)]
     octaves, shapes = list[Octave](), dict[str, Shape]()
     otherwise: set[tuple[float, float]] = set()
+    drifting = partial(without_drift, levels, interval)
     for k, (channel, kind) in enumerate(layout.channels[i] for i in order):
         left = []
         for found in filtered:
@@ -206,9 +208,20 @@ def _innovations(
         shapes[channel] = shape_of(together - together.mean())
         # as of discrepancies, less than that is none
         least = LIKELIHOOD.least_discrepancy * levels.scales.channels[order[k]] / levels.channels[order[k]]
-        tested = octaves_of(channel, left, interval, otherwise if kind < 0 else set())
+        tested = octaves_of(channel, left, interval, otherwise if kind < 0 else set(), drifting)
         octaves += [one for one in tested if abs(one.ratio - 1.0) * one.share > least]
     return tuple(octaves), shapes
+
+
+def without_drift(levels: Levels, interval: float, frequency: float) -> float:
+    """The least share of a channel's power from a frequency [Hz] on, were its drift, or an input's, not there.
+
+    The spectrum of a drift is a convenience: a real one may be slower.
+    """
+    if not levels.layout.drift:
+        return 1.0
+    drift = 0.5 * levels.drifts * levels.layout.drift / (1.0 - math.cos(2.0 * math.pi * frequency * interval))
+    return float((levels.channels / (levels.channels + drift)).min())
 
 
 def gain_of(task: Task, state: State, c: int) -> float:
@@ -310,12 +323,16 @@ def turn_of(pulls: Sequence[Floats]) -> float:
 
 
 def octaves_of(
-    channel: str, pieces: Sequence[Floats], interval: float, without: Set[tuple[float, float]] = frozenset()
+    channel: str,
+    pieces: Sequence[Floats],
+    interval: float,
+    without: Set[tuple[float, float]] = frozenset(),
+    least: Callable[[float], float] = lambda _: 1.0,
 ) -> list[Octave]:
     """Tests of the octaves of what should be white noise, consecutive samples (n,) of a channel, an interval [s] apart.
 
     Octaves `without` are left out, as if there were none: in a target those in which the course of an input is not that
-    of low-passed noise.
+    of low-passed noise. From a frequency [Hz] on there may be a share `least` of what is expected.
     """
     power, below = _spectrum(pieces)
     highest, out = 0.5 / interval, []
@@ -329,10 +346,10 @@ def octaves_of(
         if bins < LEAST_BINS or bins == len(power):
             continue
         share = float(power[inside].sum()) / total
-        lower = incomplete_beta(bins, len(power) - bins, share)
-        out.append(
-            Octave(channel, low, high, share * len(power) / bins, 2.0 * min(lower, 1.0 - lower), bins / len(power))
-        )
+        upper = 1.0 - incomplete_beta(bins, len(power) - bins, share)
+        lower = incomplete_beta(bins, len(power) - bins, min(share / least(low), 1.0))
+        p = min(2.0 * min(lower, upper), 1.0)
+        out.append(Octave(channel, low, high, share * len(power) / bins, p, bins / len(power)))
     return out
 
 

@@ -85,7 +85,7 @@ class Layout:
     # of each input between its samples: "smooth", as its derivatives say; "linear"; "hold"; or a straight line and what
     # the "cubic" or "band-limited" interpolation of the samples has beside one
     courses: tuple[Course, ...] = ()
-    drift: float = 0.0  # what is left after a sample of the drift of every channel; 0 where there is none
+    drift: float = 0.0  # time between samples as a share of that in `Levels.drifts`; 0 where channels do not drift
     stated: tuple[Stated, ...] = ()  # what is known of coefficients before
     # channels that may be late, and what of their lags has been taken out of their samples
     late: tuple[tuple[int, Lag], ...] = ()

@@ -58,7 +58,7 @@ class Levels:
     # (L,), variance of what the course of each noisy input between samples errs by, as a share of the square of its
     # bends
     courses: Floats
-    drifts: Floats  # (M,) or (0,), variance of the drift of each channel
+    drifts: Floats  # (M,) or (0,), variance that the drift of each channel gains in 1/(2 pi f), f the band's lower end
     # (F, F), how the likelihood curves downwards in `free`, as the search that led here has found it, in the units of
     # that search
     hessian: Floats | None = None
@@ -74,9 +74,8 @@ class Levels:
         memory[layout.discrepancy] = self.memory
         steps[layout.discrepancy] = sizes * (1.0 - self.memory**2)
         start[layout.discrepancy] = sizes
-        memory[layout.drifts] = layout.drift
-        steps[layout.drifts] = self.drifts * (1.0 - layout.drift**2)
-        start[layout.drifts] = self.drifts
+        steps[layout.drifts] = self.drifts * layout.drift
+        start[layout.drifts] = LIKELIHOOD.drift_offset**2 * self.scales.channels[: len(layout.drifts)]
         steps[layout.slope] = self.slope
         start[layout.lags] = self.scales.variance[layout.lags]
         return Noise(self.channels, memory, steps, self.scales.mean, start, self.courses)
@@ -222,7 +221,7 @@ class Levels:
                 by_memory * memory * (1.0 - memory),
                 found.steps[s] * self.slope,
                 found.courses * self.courses,
-                (found.steps[b] * (1.0 - self.layout.drift**2) + found.start[b]) * self.drifts,
+                found.steps[b] * self.layout.drift * self.drifts,
             ]
         )
 

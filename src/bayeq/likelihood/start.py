@@ -341,10 +341,10 @@ def _scales(
 
 
 def _drift(motion: Motion) -> float:
-    """Memory from sample to sample of a drift, slower than the band that the records are believed in; 0 without one."""
+    """See `Layout`: a drift is slower than the band that the records are believed in."""
     low = motion.band[0] if motion.band else 0.0
     intervals = [np.diff(rows.time) for rows in motion.train if rows.time is not None]
-    return math.exp(-2.0 * math.pi * LIKELIHOOD.slowest_drift * low * _interval(intervals)) if low else 0.0
+    return 2.0 * math.pi * low * _interval(intervals) if low else 0.0
 
 
 def _rounding(samples: Floats) -> float:

@@ -183,8 +183,8 @@ class LikelihoodSettings:
     input_noise: float = setting(2.5e-3, "Variance of an input's noise at first, as a share of its own, where its "
         "spectrum does not tell it and where another course is tried: from less a discrepancy explains what is "
         "noise.")
-    slowest_drift: float = setting(0.1, "A drift is a random walk down to this share of the lowest frequency that is "
-        "believed, below it a level: a drift has an offset, too.", "`tests/test_band.py`")
+    drift_offset: float = setting(0.5, "Standard deviation of the offset with which the drift of a channel begins, as "
+        "a share of the channel's: an offset of x may not pass for an even term.", "`band.csv`")
 
     # The search over models
     neighbour_window: float = setting(6.0, "Models one flip or swap away within this on the Gram matrix are fitted; "
