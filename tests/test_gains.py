@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from dataclasses import replace
 
@@ -106,3 +107,26 @@ def test_of_one_channel_of_a_chain_nothing_tells_the_factor():
     answer = quietly(drawn(3), chains="x::", dictionary=["x", "dx", "u", "x**3"], gain_sd={"x": 0.01})
     assert not answer.data.sensors.gains
     assert "gains" not in answer.to_dict()["data"]
+
+
+@pytest.mark.parametrize(
+    ("off", "words"),
+    [
+        ({"v": lambda v: 1.02 * v}, r"v may be [12]\.?\d* % too large: --gain-sd v=0.0[23] learns that"),
+        ({"a": lambda a: 0.97 * a}, r"a may be [23]\.?\d* % too small: --gain-sd a=0.0[34] learns that"),
+        ({"v": lambda v: np.roll(v, 3)}, r"v may be 0.00[23]\d* s late: --lag-sd v=0.003 learns that"),
+        ({"u": lambda u: np.roll(u, -1)}, r"u may be 0.00[01]\d* s early: --lag-sd u=0.00[12] learns that"),
+    ],
+)
+def test_a_law_that_is_nearly_true_names_the_channel_that_is_off(off, words):
+    clean = bq.simulate("duffing", n=2000, seed=6, noise=0.02)
+    record = clean.with_channels({name: change(clean[name]) for name, change in off.items()}, clean.units)
+    answer = quietly(record, gain_sd=None, dictionary=list(TRUE))
+    assert answer.verdict.kind == "nearly true"
+    assert re.search(words, answer.verdict.advice), answer.verdict
+
+
+def test_a_law_that_lacks_a_term_accuses_no_channel():
+    answer = quietly(bq.simulate("coulomb", n=2000, seed=6, noise=0.02), gain_sd=None, dictionary=["x", "v", "u"])
+    assert answer.verdict.kind == "nearly true"
+    assert "-sd" not in answer.verdict.advice

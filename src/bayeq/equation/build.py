@@ -15,7 +15,17 @@ from bayeq.equation.plan.information import likeliest_models
 from bayeq.equation.selection.alternatives import alternatives_to, bounds, undetermined
 from bayeq.equation.selection.excitation import Repeating, repeating
 from bayeq.equation.selection.select import Selection
-from bayeq.equation.verdict import LEAST_SHOWN, Verdict, alike, doubted, judge, noise_share, window_errors
+from bayeq.equation.verdict import (
+    LEAST_SHOWN,
+    LONGER,
+    Verdict,
+    alike,
+    doubted,
+    judge,
+    noise_share,
+    suspecting,
+    window_errors,
+)
 from bayeq.errors import (
     AmbiguityWarning,
     ConvergenceWarning,
@@ -232,6 +242,8 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
         dependent,
         change,
     )
+    if (verdict.kind in ("nearly true", "found") or verdict.advice == LONGER) and regression.suspect is not None:
+        verdict = suspecting(verdict, regression.suspect)
     beyond = selection.fit.beyond_bounds(CONTRADICTED)
     if beyond and verdict.kind != "none":
         bounds = some_of([_beyond(name, *one) for name, one in beyond.items()], 60)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations
 from typing import Literal
 
@@ -20,6 +20,7 @@ from bayeq.forecast.free_run import correlation_time, typical_period, window_run
 from bayeq.forecast.rows import divided, rows_of
 from bayeq.forecast.score import percentages
 from bayeq.likelihood.adequacy import Change, Discrepancy, Octave
+from bayeq.likelihood.gains import Suspect
 from bayeq.numerics.settings import EQUATION, LIKELIHOOD
 from bayeq.regression.regression import Regression
 from bayeq.regression.residuals import Fit
@@ -35,6 +36,9 @@ NOTHING = 0.005
 
 # What terms leave is below any effect below this share of the target's standard deviation.
 LEAST_SHOWN = 1e-3
+
+LONGER = "a longer record, other amplitudes or frequencies would tell (bayeq plan), or terms known beforehand"
+CAREFUL = "parameters may be off by more than their intervals say"
 
 # Mass matrices, one for each of some rows, that are looked at. Below this share of the sum of its products' sizes a
 # determinant is 0: coefficients that are wrong by as much have another sign of it.
@@ -150,18 +154,17 @@ def doubted(
             "not determined",
             f"other equations, which predict another {target}, have {100 * min(others.probability, 0.99):.2g} % of the"
             f" probability, the likeliest {' and '.join(change) or 'with another constant'}",
-            "a longer record, other amplitudes or frequencies would tell (bayeq plan), or terms known beforehand",
+            LONGER,
         )
     unexplained = f"{percentages({'': share}).strip()} of {target} is not explained by these terms"
-    careful = "parameters may be off by more than their intervals say"
     # most of what is not explained, by a coefficient that keeps its sign: others may make up for a missing term
     if changing is not None and changing.share > share * math.sqrt(0.5) and not changing.reverses:
-        return _changing(changing, careful)
+        return _changing(changing)
     if exact < LIKELIHOOD.nearly_true and not share < LIKELIHOOD.misfit_least:
         return Verdict(
             "nearly true",
             f"{unexplained}; what is missing depends on the states",
-            f"{careful}: add terms, and check the calibration and timing of the channels",
+            f"{CAREFUL}: add terms, and check the calibration and timing of the channels",
         )
     # what a chaotic map does within the error of its path is taken to be linear, which leaves a little
     if lacking is not None and not (chain.discrete and share < LEAST_SHOWN):
@@ -169,16 +172,16 @@ def doubted(
         return Verdict(
             "nearly true",
             f"{unexplained}, mostly at {low:.2g} to {high:.2g} {rate}",
-            f"{careful}: add inputs or terms, and check the timing of the channels",
+            f"{CAREFUL}: add inputs or terms, and check the timing of the channels",
         )
     if changing is not None:
-        return _changing(changing, careful)
+        return _changing(changing)
     if coloured is not None:
         return Verdict(
             "nearly true",
             f"what is left of {coloured.channel} is not white noise: {coloured.ratio:.2g} times as much between"
             f" {coloured.low:.2g} and {coloured.high:.2g} {rate} (p {_chance(coloured.p)})",
-            f"{careful}: check calibration, timing, filters and hum of {coloured.channel}",
+            f"{CAREFUL}: check calibration, timing, filters and hum of {coloured.channel}",
         )
     if n_eff is not None:
         return Verdict(
@@ -187,8 +190,23 @@ def doubted(
             "give the channels as they were measured: filters, of zero phase too, leave what looks like a law",
         )
     if share > MUCH:
-        return Verdict("nearly true", unexplained, f"{careful}: add terms or inputs")
+        return Verdict("nearly true", unexplained, f"{CAREFUL}: add terms or inputs")
     return verdict
+
+
+def suspecting(verdict: Verdict, found: Suspect) -> Verdict:
+    """The verdict on a law that is at best nearly true, for a channel is off; what it is off by may be learned."""
+    name, size = found.channel, abs(found.value)
+    digit = 10.0 ** math.floor(math.log10(size))
+    prior = f"{name}={math.ceil(size / digit) * digit:.1g}"
+    if found.late:
+        off, learned = f"{size:.2g} s {'late' if found.value > 0.0 else 'early'}", f"--lag-sd {prior}"
+    else:
+        off, learned = f"{100 * size:.2g} % too {'large' if found.value > 0.0 else 'small'}", f"--gain-sd {prior}"
+    advice = f"{CAREFUL}: {name} may be {off}: {learned} learns that"
+    if verdict.kind == "found":
+        return Verdict("nearly true", f"other channels contradict {name}", advice)
+    return replace(verdict, advice=advice)
 
 
 def _on_one_orbit(again: Repeating, chain: Chain, rate: str) -> Verdict:
@@ -205,12 +223,12 @@ def _on_one_orbit(again: Repeating, chain: Chain, rate: str) -> Verdict:
     )
 
 
-def _changing(one: Change, careful: str) -> Verdict:
+def _changing(one: Change) -> Verdict:
     size = "its sign" if one.reverses else f"by {100.0 * one.relative:+.2g} %"
     return Verdict(
         "nearly true",
         f"{one.of} changes {size} over the record (p {_chance(one.p)})",
-        f"{careful}: answer parts of the record apart (--rows), or offer t times the term",
+        f"{CAREFUL}: answer parts of the record apart (--rows), or offer t times the term",
     )
 
 

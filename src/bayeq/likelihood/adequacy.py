@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from bayeq.arrays import Floats
 from bayeq.likelihood.filter import Filtered, run_filter
 from bayeq.likelihood.fit import State, Statistics, adjoints, maximised, of_inputs, solved
+from bayeq.likelihood.gains import Suspect, suspects_of
 from bayeq.likelihood.levels import Levels
 from bayeq.likelihood.model import Fitted, Task
 from bayeq.numerics.distributions import Z95, Shape, incomplete_beta, shape_of
@@ -85,6 +86,7 @@ class Adequacy:
     octaves: tuple[Octave, ...]  # of the channels of all chains
     shapes: Mapping[str, Shape] = field(default_factory=dict)  # of the standardised innovations of these channels
     changes: tuple[Change, ...] = ()  # of the coefficients of the model
+    suspects: tuple[Suspect, ...] = ()  # channels that others contradict
 
     @property
     def limit(self) -> float:
@@ -105,6 +107,10 @@ class Adequacy:
         rejected = [one for one in self.octaves if one.channel in channels and one.p <= self.limit]
         return min(rejected, key=lambda one: (one.p, -abs(math.log(one.ratio))), default=None)
 
+    def suspect(self, channels: Sequence[str]) -> Suspect | None:
+        """The channel among some that the others contradict most."""
+        return max((one for one in self.suspects if one.channel in channels), key=lambda one: one.sds, default=None)
+
     def changing(self, c: int) -> Change | None:
         """The least probable change of a coefficient of equation c, if it is rejected."""
         least = LIKELIHOOD.misfit_least
@@ -123,7 +129,9 @@ def adequacy_of(task: Task, fitted: Fitted) -> Adequacy:
     interval = float(np.median(np.concatenate([one.intervals for one in task.series])))
     discrepancies = [_discrepancy(task, state, here.value, c, interval) for c in range(task.layout.chains)]
     changes = changes_of(task, state, here, fitted.power)
-    return Adequacy(tuple(discrepancies), *_innovations(task, state, here.delta, interval), changes)
+    return Adequacy(
+        tuple(discrepancies), *_innovations(task, state, here.delta, interval), changes, suspects_of(task, state)
+    )
 
 
 def changes_of(task: Task, state: State, here: Statistics, power: float) -> tuple[Change, ...]:
@@ -140,7 +148,7 @@ def changes_of(task: Task, state: State, here: Statistics, power: float) -> tupl
     for one, linear, found in zip(task.series, task.linearised(state), here.filtered, strict=True):
         time = np.append(0.0, np.cumsum(one.intervals))
         place = 2.0 * time / time[-1] - 1.0
-        left, columns = standardised(found, here.delta)
+        left, columns = found.standardised(here.delta)
         columns = columns.reshape(-1, r)
         tilted = np.repeat(place, left.shape[1])[:, None] * columns
         slope, turned = slope + left.ravel() @ columns, turned + left.ravel() @ tilted
@@ -383,18 +391,7 @@ def power_of(task: Task, fitted: Fitted) -> float:
 
 def _scores(filtered: Filtered, delta: Floats) -> Floats:
     """Derivatives of the log likelihood of every sample by the coefficients, (n, r)."""
-    return np.asarray(np.einsum("tk,tki->ti", *standardised(filtered, delta)))
-
-
-def standardised(filtered: Filtered, delta: Floats) -> tuple[Floats, Floats]:
-    """Innovations (n, M), coefficients `delta` from those of the filter, and their derivatives by these (n, M, r).
-
-    Both in standard deviations of the innovations; 0 where there is no sample.
-    """
-    known = filtered.variance > 0.0
-    sd = np.sqrt(np.where(known, filtered.variance, 1.0))[..., None]
-    standard = np.where(known[..., None], filtered.innovation / sd, 0.0)
-    return standard[..., 0] - standard[..., 1:] @ delta, standard[..., 1:]
+    return np.asarray(np.einsum("tk,tki->ti", *filtered.standardised(delta)))
 
 
 def excess_of(scores: Sequence[Floats]) -> tuple[float, float]:

@@ -51,6 +51,16 @@ class Filtered(NamedTuple):
     product: Floats  # (1 + r, 1 + r), sum of the innovations' products over their variances
     log_variance: float  # sum of ln 2 pi S
 
+    def standardised(self, delta: Floats) -> tuple[Floats, Floats]:
+        """Innovations (n, M), coefficients `delta` from those of the filter, and their derivatives by these (n, M, r).
+
+        Both in standard deviations of the innovations; 0 where there is no sample.
+        """
+        known = self.variance > 0.0
+        sd = np.sqrt(np.where(known, self.variance, 1.0))[..., None]
+        standard = np.where(known[..., None], self.innovation / sd, 0.0)
+        return standard[..., 0] - standard[..., 1:] @ delta, standard[..., 1:]
+
 
 class _Running(NamedTuple):
     """Where a recursion stands, and its work space; W is the padded width of a row."""

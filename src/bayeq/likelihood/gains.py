@@ -1,4 +1,4 @@
-"""Factors of channels as the likelihood finds them: one number each for all records, by the motion that they share.
+"""Factors of channels as the likelihood finds them: one number each for all records; and channels that are off.
 
 A channel that may be off by a factor is a measurement ``(1 + g) s`` of s, about s as it is along the path: the filter
 of these samples alone gives the derivative of the innovations by g, beside those by the coefficients.
@@ -6,17 +6,18 @@ of these samples alone gives the derivative of the innovations by g, beside thos
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from bayeq.arrays import Floats
-from bayeq.likelihood.adequacy import standardised
 from bayeq.likelihood.filter import run_filter
 from bayeq.likelihood.fit import State, solved
 from bayeq.likelihood.layout import NOTHING
 from bayeq.likelihood.model import Task
+from bayeq.numerics.settings import LIKELIHOOD
+from bayeq.numerics.spline import spline_slopes
 from bayeq.states import Gain
 
 
@@ -33,33 +34,81 @@ def calibration_of(task: Task, state: State, power: float = 1.0) -> Calibration:
 
     The likelihood is raised to `power`.
     """
-    channels = [i for i, _ in task.layout.uncertain]
-    if not channels:
+    uncertain = task.layout.uncertain
+    if not uncertain:
         return Calibration({}, np.zeros((0, 0)), 0.0)
-    found = task.marginal(state)
-    taken = np.array([gain.value for _, gain in task.layout.uncertain])
-    known = np.array([gain.prior_sd for _, gain in task.layout.uncertain]) ** -2.0 * taken**2
-    count, r = len(channels), len(state.theta)
-    information, across, slope = np.zeros((count, count)), np.zeros((r, count)), np.zeros(count)
-    still = state.levels.noise._replace(mean=np.zeros(task.layout.size))
-    for one, linear, filtered in zip(task.series, task.linearised(state), found.filtered, strict=True):
-        left, columns = standardised(filtered, found.delta)
-        by_gain = np.empty((*left.shape, count))
-        for k, i in enumerate(channels):
-            samples = 0.0 * linear.residual
-            samples[:, i] = one.samples[:, i] - linear.residual[:, i]
-            at_rest = linear._replace(path=0.0 * linear.path, end=0.0 * linear.end, residual=samples)
-            by_gain[..., k] = standardised(run_filter(at_rest, NOTHING, still), np.zeros(0))[0]
-        information += np.einsum("tmi,tmj->ij", by_gain, by_gain)
-        across += np.einsum("tmr,tmi->ri", columns, by_gain)
-        slope += np.einsum("tmi,tm->i", by_gain, left)
-    information -= across.T @ found.covariance @ across
-    covariance = solved(power * information + np.diag(known), np.eye(count))
+    information, slope, _ = information_on(task, state, [(i, False) for i, _ in uncertain])
+    taken = np.array([gain.value for _, gain in uncertain])
+    known = np.array([gain.prior_sd for _, gain in uncertain]) ** -2.0 * taken**2
+    covariance = solved(power * information + np.diag(known), np.eye(len(known)))
     change = covariance @ (power * slope + known * (1.0 / taken - 1.0))
     sizes = taken * np.sqrt(np.diagonal(covariance))
     gains = {
         task.layout.channels[i][0]: Gain(float(value), float(sd), gain.prior_sd)
-        for (i, gain), value, sd in zip(task.layout.uncertain, taken * (1.0 + change), sizes, strict=True)
+        for (i, gain), value, sd in zip(uncertain, taken * (1.0 + change), sizes, strict=True)
     }
-    moved = float(np.sqrt(change @ solved(covariance, change) / count))
+    moved = float(np.sqrt(change @ solved(covariance, change) / len(known)))
     return Calibration(gains, covariance * np.outer(taken, taken), moved)
+
+
+class Suspect(NamedTuple):
+    """A channel whose factor or lag would explain much of what is left."""
+
+    channel: str
+    late: bool
+    value: float  # its lag [s], or by what share its samples are too large
+    sds: float  # the size of that in standard deviations
+
+
+def suspects_of(task: Task, state: State) -> tuple[Suspect, ...]:
+    """Channels that the others contradict, one at a time, by score tests.
+
+    Nothing tells the factor of an input, or of the only channel of a chain.
+    """
+    layout = task.layout
+    chains = [[name for name in chain.measured if name is not None] for chain in layout.roles.chains]
+    several = {name for names in chains if len(names) > 1 for name in names}
+    known = [{i for i, _ in one} for one in (layout.uncertain, layout.late)]
+    sought = [
+        (i, late)
+        for i, (name, _) in enumerate(layout.channels)
+        for late in (False, True)
+        if i not in known[late] and (name in several or (late and name in layout.roles.inputs))
+    ]
+    if not sought or layout.discrete:
+        return ()
+    information, slope, shares = information_on(task, state, sought)
+    sizes = np.sqrt(np.maximum(np.diagonal(information), np.finfo(np.float64).tiny))
+    values, sds = slope / sizes**2, np.abs(slope) / sizes
+    clearly = (sds > LIKELIHOOD.suspected) & (np.abs(values) * shares > LIKELIHOOD.misfit_least)
+    return tuple(
+        Suspect(layout.channels[i][0], late, float(values[k]), float(sds[k]))
+        for k, (i, late) in enumerate(sought)
+        if clearly[k]
+    )
+
+
+def information_on(task: Task, state: State, sought: Sequence[tuple[int, bool]]) -> tuple[Floats, Floats, Floats]:
+    """The likelihood about a fit by factors of channels, or by their lags, coefficients integrated out.
+
+    Each is a channel and whether its lag is sought [s], in place of its factor. Information, (G, G), and slope, (G,);
+    what each changes its channel by, as a share of the channel's standard deviation, (G,).
+    """
+    found, count = task.marginal(state), len(sought)
+    information, across, slope = np.zeros((count, count)), np.zeros((len(state.theta), count)), np.zeros(count)
+    square, rows = np.zeros(count), sum(len(one.samples) for one in task.series)
+    still = state.levels.noise._replace(mean=np.zeros(task.layout.size))
+    for one, linear, filtered in zip(task.series, task.linearised(state), found.filtered, strict=True):
+        left, columns = filtered.standardised(found.delta)
+        time, changes = np.append(0.0, np.cumsum(one.intervals)), np.empty((*left.shape, count))
+        for k, (i, late) in enumerate(sought):
+            seen, samples = one.samples[:, [i]] - linear.residual[:, [i]], 0.0 * linear.residual
+            samples[:, [i]] = -spline_slopes(time, seen) if late else seen
+            square[k] += float(np.nansum(samples[:, i] ** 2))
+            at_rest = linear._replace(path=0.0 * linear.path, end=0.0 * linear.end, residual=samples)
+            changes[..., k] = run_filter(at_rest, NOTHING, still).standardised(np.zeros(0))[0]
+        information += np.einsum("tmi,tmj->ij", changes, changes)
+        across += np.einsum("tmr,tmi->ri", columns, changes)
+        slope += np.einsum("tmi,tm->i", changes, left)
+    shares = np.sqrt(square / rows / state.levels.scales.channels[[i for i, _ in sought]])
+    return information - across.T @ found.covariance @ across, slope, shares

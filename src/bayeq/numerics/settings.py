@@ -194,6 +194,9 @@ class LikelihoodSettings:
     most_growth: float = setting(3.0, "A first model is cut down where a deviation from the path grows by more than "
         "this factor in a sample, or a step ends further from the path in standard deviations: no motion that was "
         "sampled does that.", unit="times")
+    suspected: float = setting(8.0, "A law that is nearly true names the channel whose factor or lag explains more of "
+        "what is left: of 16 laws that lacked a term none reached 6, of 8 sensors that were off all exceeded 14.",
+        "`tests/test_gains.py`", unit="sd")
     jump_steps: int = setting(8, "Steps of an interval in which a term of the model jumps: it is located among them.")
     adequate: float = setting(0.05, "A further start is tried where a discrepancy above this share of its target is "
         "left.")

@@ -531,8 +531,7 @@ def with_samples(record: Record, samples: Mapping[str, Any]) -> Record:
 
 
 def in_units(record: Record, wanted: Mapping[str, str]) -> tuple[Record, list[str], list[str]]:
-    """The record with channels in other units, where both are known; what was converted, and channels that cannot be.
-    """
+    """The record in other units, where both are known; what was converted, and channels that cannot be."""
     stated = {name: record.units[name] for name in wanted if name in record.channels and name in record.units}
     factors = {name: conversion(unit, wanted[name]) for name, unit in stated.items()}
     samples = {name: factor * record[name] for name, factor in factors.items() if factor is not None and factor != 1.0}

@@ -16,6 +16,7 @@ from bayeq.expressions import Expression
 from bayeq.inference.posterior import Posterior, Projected
 from bayeq.likelihood.adequacy import Change, Discrepancy, Octave
 from bayeq.likelihood.fit import solved
+from bayeq.likelihood.gains import Suspect
 from bayeq.likelihood.projection import projected
 from bayeq.likelihood.record_fit import RecordFit
 from bayeq.numerics.distributions import Shape
@@ -56,6 +57,12 @@ class RecordRegression(Regression):
         """As of `Regression`: other channels of a chain tell of them."""
         found = self.record.calibration
         return tuple(found.gains), found.covariance
+
+    @property
+    def suspect(self) -> Suspect | None:
+        """As of `Regression`."""
+        channels = [name for name in self.chain.measured if name is not None]
+        return self.record.adequacy.suspect([*channels, *self.motion.roles.inputs])
 
     @property
     def tau(self) -> float:

@@ -16,6 +16,7 @@ from bayeq.expressions import Expression
 from bayeq.inference.gram import Gram, grams_from_blocks
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.adequacy import Change, Discrepancy, Octave
+from bayeq.likelihood.gains import Suspect
 from bayeq.numerics.distributions import Shape
 from bayeq.numerics.settings import REGRESSION
 from bayeq.regression.design import Design
@@ -79,6 +80,11 @@ class Regression:
         """Channels whose factors may be off, and the covariance of these: of rows as it was given."""
         known = {name: sd for name, sd in self.motion.sensors.gain_sd.items() if sd}
         return tuple(known), np.diag(np.square(list(known.values())))
+
+    @property
+    def suspect(self) -> Suspect | None:
+        """A channel that others contradict; None of rows."""
+        return None
 
     @property
     def constants(self) -> tuple[ConstantEstimate, ...]:
