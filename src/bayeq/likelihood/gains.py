@@ -16,9 +16,12 @@ from bayeq.likelihood.filter import run_filter
 from bayeq.likelihood.fit import State, solved
 from bayeq.likelihood.layout import NOTHING
 from bayeq.likelihood.model import Task
-from bayeq.numerics.settings import LIKELIHOOD
 from bayeq.numerics.spline import spline_slopes
 from bayeq.states import Gain
+
+# A channel is named whose factor or lag explains what is left by more standard deviations: laws that lack a term stay
+# below 6, sensors that are off exceed 14 (`tests/test_gains.py`); and changes its samples by more than a share.
+SUSPECTED, AS_SAID = 8.0, 1e-3
 
 
 class Calibration(NamedTuple):
@@ -80,7 +83,7 @@ def suspects_of(task: Task, state: State) -> tuple[Suspect, ...]:
     information, slope, shares = information_on(task, state, sought)
     sizes = np.sqrt(np.maximum(np.diagonal(information), np.finfo(np.float64).tiny))
     values, sds = slope / sizes**2, np.abs(slope) / sizes
-    clearly = (sds > LIKELIHOOD.suspected) & (np.abs(values) * shares > LIKELIHOOD.misfit_least)
+    clearly = (sds > SUSPECTED) & (np.abs(values) * shares > AS_SAID)
     return tuple(
         Suspect(layout.channels[i][0], late, float(values[k]), float(sds[k]))
         for k, (i, late) in enumerate(sought)

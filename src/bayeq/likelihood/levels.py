@@ -23,6 +23,9 @@ LEAST_NOISE, MOST_NOISE = 1e-10, 1e2
 MOST_DISCREPANCY, MOST_POSSIBLE = 1e2, 1e1
 LEAST_COURSE = 1e-6
 
+# Standard deviation of the offset that a drift begins with, as a share of the channel's.
+DRIFT_OFFSET = 0.5
+
 # What a search moves, in this order.
 PARTS = ("channels", "discrepancy", "memory", "slope", "courses", "drifts")
 
@@ -75,7 +78,7 @@ class Levels:
         steps[layout.discrepancy] = sizes * (1.0 - self.memory**2)
         start[layout.discrepancy] = sizes
         steps[layout.drifts] = self.drifts * layout.drift
-        start[layout.drifts] = LIKELIHOOD.drift_offset**2 * self.scales.channels[: len(layout.drifts)]
+        start[layout.drifts] = DRIFT_OFFSET**2 * self.scales.channels[: len(layout.drifts)]
         steps[layout.slope] = self.slope
         start[layout.lags] = self.scales.variance[layout.lags]
         return Noise(self.channels, memory, steps, self.scales.mean, start, self.courses)

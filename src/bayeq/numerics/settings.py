@@ -183,8 +183,6 @@ class LikelihoodSettings:
     input_noise: float = setting(2.5e-3, "Variance of an input's noise at first, as a share of its own, where its "
         "spectrum does not tell it and where another course is tried: from less a discrepancy explains what is "
         "noise.")
-    drift_offset: float = setting(0.5, "Standard deviation of the offset with which the drift of a channel begins, as "
-        "a share of the channel's: an offset of x may not pass for an even term.", "`band.csv`")
 
     # The search over models
     neighbour_window: float = setting(6.0, "Models one flip or swap away within this on the Gram matrix are fitted; "
@@ -194,9 +192,6 @@ class LikelihoodSettings:
     most_growth: float = setting(3.0, "A first model is cut down where a deviation from the path grows by more than "
         "this factor in a sample, or a step ends further from the path in standard deviations: no motion that was "
         "sampled does that.", unit="times")
-    suspected: float = setting(8.0, "A law that is nearly true names the channel whose factor or lag explains more of "
-        "what is left: of 16 laws that lacked a term none reached 6, of 8 sensors that were off all exceeded 14.",
-        "`tests/test_gains.py`", unit="sd")
     jump_steps: int = setting(8, "Steps of an interval in which a term of the model jumps: it is located among them.")
     adequate: float = setting(0.05, "A further start is tried where a discrepancy above this share of its target is "
         "left.")
