@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import butter, filtfilt
 
 import bayeq as bq
 from bayeq.equation.brief import brief
@@ -124,6 +125,34 @@ def test_a_law_that_is_nearly_true_names_the_channel_that_is_off(off, words):
     answer = quietly(record, gain_sd=None, dictionary=list(TRUE))
     assert answer.verdict.kind == "nearly true"
     assert re.search(words, answer.verdict.advice), answer.verdict
+
+
+def test_channels_that_were_filtered_are_named_with_a_band_by_which_the_law_is_found():
+    clean, (b, a) = bq.simulate("duffing", n=2500, seed=6, noise=0.02), butter(4, 0.4)
+    record = clean.with_channels({name: filtfilt(b, a, clean[name]) for name in clean.channels}, clean.units)
+    answer = quietly(record, gain_sd=None, dictionary=list(TRUE))
+    assert answer.verdict.kind == "nearly true"
+    found = re.search(r"channels look filtered above 250 Hz: --band (0.4):(250) allows", answer.verdict.advice)
+    again = quietly(record, gain_sd=None, dictionary=list(TRUE), band=tuple(map(float, found.groups())))
+    assert again.verdict.kind == "found"
+    assert set(again[0].shown) == set(TRUE)
+
+
+def test_inconsistency_beyond_a_tenth_is_no_unit_where_factors_may_explain_it():
+    clean = bq.simulate("duffing", n=1500, seed=6, noise=0.02)
+    record = clean.with_channels({"x": 0.94 * clean["x"], "v": 1.06 * clean["v"]}, clean.units)
+    answer = quietly(record, gain_sd={"x": 0.06, "v": 0.06})
+    assert {name: gain.value for name, gain in answer.data.sensors.gains.items()} == pytest.approx(
+        {"x": 0.94, "v": 1.06}, rel=5e-3
+    )
+    assert answer[0].shown_coef["x"] == pytest.approx(TRUE["x"], rel=0.01)
+
+
+def test_factors_that_contradict_what_was_said_of_them_are_not_found():
+    clean = bq.simulate("duffing", n=1500, seed=6, noise=0.02)
+    answer = quietly(clean.with_channels({"v": 1.1 * clean["v"]}, clean.units))  # 1 % was said
+    assert answer.verdict.kind == "nearly true"
+    assert "-sd" in answer.verdict.advice
 
 
 def test_a_law_that_lacks_a_term_accuses_no_channel():

@@ -532,7 +532,8 @@ def _channel_messages(motion: Motion, records: Sequence[Record]) -> list[str]:
     present = [bridged_record(record, roles, MOST_BRIDGED) for record in records]
     stepping = roles.targets if "hold" in motion.courses.values() else ()
     chains, rows = [chain.measured for chain in roles.chains], [record.n for record in records]
-    return check_messages(present, chains, roles.inputs, rows, stepping)
+    drifting = motion.band is not None and motion.band[0] > 0.0
+    return check_messages(present, chains, roles.inputs, rows, stepping, drifting)
 
 
 def _constrained(known: Sequence[str], design: Design, method: str) -> tuple[Constraints, ...]:

@@ -243,7 +243,8 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
         change,
     )
     if (verdict.kind in ("nearly true", "found") or verdict.advice == LONGER) and regression.suspect is not None:
-        verdict = suspecting(verdict, regression.suspect)
+        seconds = [float(rows.time[-1] - rows.time[0]) for rows in regression.motion.train if rows.time is not None]
+        verdict = suspecting(verdict, regression.suspect, max(seconds, default=math.inf))
     beyond = selection.fit.beyond_bounds(CONTRADICTED)
     if beyond and verdict.kind != "none":
         bounds = some_of([_beyond(name, *one) for name, one in beyond.items()], 60)

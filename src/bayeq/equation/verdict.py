@@ -194,8 +194,14 @@ def doubted(
     return verdict
 
 
-def suspecting(verdict: Verdict, found: Suspect) -> Verdict:
-    """The verdict on a law that is at best nearly true, for a channel is off; what it is off by may be learned."""
+def suspecting(verdict: Verdict, found: Suspect | float, seconds: float) -> Verdict:
+    """The verdict on a law that is at best nearly true: a channel is off, and may be learned by how much; or channels
+    of `seconds` are filtered above a frequency [Hz]."""
+    if isinstance(found, float):
+        band = f"--band {1.0 / seconds:.1g}:{found:.3g}"
+        return replace(
+            verdict, advice=f"{CAREFUL}: channels look filtered above {found:.3g} Hz: {band} allows for that"
+        )
     name, size = found.channel, abs(found.value)
     digit = 10.0 ** math.floor(math.log10(size))
     prior = f"{name}={math.ceil(size / digit) * digit:.1g}"

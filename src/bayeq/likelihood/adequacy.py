@@ -38,6 +38,9 @@ AT_BOUND = 0.98
 # Information on a change, as a share of that on it alone, below which it is rounding.
 ROUNDING = 1e-9
 
+# Innovations with less of the expected power in the highest octave are those of a filtered channel.
+FILTERED = 0.3
+
 # Bins of an octave, at least.
 LEAST_BINS = 8
 
@@ -110,6 +113,12 @@ class Adequacy:
     def suspect(self, channels: Sequence[str]) -> Suspect | None:
         """The channel among some that the others contradict most."""
         return max((one for one in self.suspects if one.channel in channels), key=lambda one: one.sds, default=None)
+
+    def filtered(self, channels: Sequence[str]) -> float | None:
+        """The frequency [Hz] above which some channels have hardly any noise, as those of a low-pass filter."""
+        top = max((one.high for one in self.octaves), default=0.0)
+        own = [one for one in self.octaves if one.channel in channels and one.p <= self.limit and one.ratio < FILTERED]
+        return min(one.low for one in own) if any(one.high == top for one in own) else None
 
     def changing(self, c: int) -> Change | None:
         """The least probable change of a coefficient of equation c, if it is rejected."""

@@ -23,6 +23,9 @@ from bayeq.states import Gain
 # below 6, sensors that are off exceed 14 (`tests/test_gains.py`); and changes its samples by more than a share.
 SUSPECTED, AS_SAID = 8.0, 1e-3
 
+# What is learned of a channel contradicts what was said of it by more of the standard deviations that were given.
+CONTRADICTED = 4.0
+
 
 class Calibration(NamedTuple):
     """What is known of the factors of some channels."""
@@ -64,7 +67,7 @@ class Suspect(NamedTuple):
 
 
 def suspects_of(task: Task, state: State) -> tuple[Suspect, ...]:
-    """Channels that the others contradict, one at a time, by score tests.
+    """Channels that the others contradict, one at a time, by score tests, or that what was said of them contradicts.
 
     Nothing tells the factor of an input, or of the only channel of a chain.
     """
@@ -78,13 +81,20 @@ def suspects_of(task: Task, state: State) -> tuple[Suspect, ...]:
         for late in (False, True)
         if i not in known[late] and (name in several or (late and name in layout.roles.inputs))
     ]
+    learned = [(i, False, gain.value - 1.0, gain.prior_sd) for i, gain in layout.uncertain]
+    learned += [(i, True, lag.value, lag.prior_sd) for i, lag in layout.late]
+    contradicted = tuple(
+        Suspect(layout.channels[i][0], late, value, abs(value) / sd)
+        for i, late, value, sd in learned
+        if abs(value) > CONTRADICTED * sd
+    )
     if not sought or layout.discrete:
-        return ()
+        return contradicted
     information, slope, shares = information_on(task, state, sought)
     sizes = np.sqrt(np.maximum(np.diagonal(information), np.finfo(np.float64).tiny))
     values, sds = slope / sizes**2, np.abs(slope) / sizes
     clearly = (sds > SUSPECTED) & (np.abs(values) * shares > AS_SAID)
-    return tuple(
+    return contradicted + tuple(
         Suspect(layout.channels[i][0], late, float(values[k]), float(sds[k]))
         for k, (i, late) in enumerate(sought)
         if clearly[k]

@@ -152,11 +152,13 @@ def check_messages(
     inputs: Sequence[str] = (),
     rows: Sequence[int] | None = None,
     stepping: Sequence[str] = (),
+    drifting: bool = False,
 ) -> list[str]:
     """A sentence for each kind of finding about each channel, however many records show it.
 
     Samples are not said to be missing in records that have lost some of the `rows` that they had. Channels that are
-    `stepping`, as an acceleration under an input that is held between samples, are half a sample ahead.
+    `stepping`, as an acceleration under an input that is held between samples, are half a sample ahead. Offsets and
+    drifts that are learned, of channels that are `drifting`, are not said.
     """
     found: dict[tuple[str, tuple[str, ...]], list[str]] = {}
     several = len(records) > 1
@@ -166,9 +168,13 @@ def check_messages(
             late = finding.value / (record.dt or 1.0) if finding.kind == "delay" else 0.0
             if finding.channels[0] in stepping and abs(late + 0.5) < RECORDS.least_delay:
                 continue
-            if finding.kind == "dropped" and record.n < n:
+            shifted, message = finding.kind in ("offset", "drift"), finding.message
+            if (finding.kind == "dropped" and record.n < n) or (shifted and drifting):
                 continue
-            found.setdefault((finding.kind, finding.channels), []).append(where + finding.message)
+            if shifted and several and record.fs is not None:  # one number would not do for all
+                band = f"{record.fs / record.n:.1g}:{0.5 * record.fs:.3g}"
+                message = f"{message.split(': use')[0]}: --band {band} learns what each record has"
+            found.setdefault((finding.kind, finding.channels), []).append(where + message)
     return [
         first + (f" (and {len(others)} more records alike)" if others and several else "")
         for first, *others in found.values()

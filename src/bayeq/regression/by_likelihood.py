@@ -59,10 +59,10 @@ class RecordRegression(Regression):
         return tuple(found.gains), found.covariance
 
     @property
-    def suspect(self) -> Suspect | None:
+    def suspect(self) -> Suspect | float | None:
         """As of `Regression`."""
-        channels = [name for name in self.chain.measured if name is not None]
-        return self.record.adequacy.suspect([*channels, *self.motion.roles.inputs])
+        adequacy, channels = self.record.adequacy, [name for name in self.chain.measured if name is not None]
+        return adequacy.suspect([*channels, *self.motion.roles.inputs]) or adequacy.filtered(channels)
 
     @property
     def tau(self) -> float:

@@ -176,7 +176,8 @@ def estimate_motion(
         records = records if whole else [complete_rows(record, roles) for record in records]
         pieces = tuple(_rows(one, roles, derive_states(one, roles.chains, roles.inputs)) for one in records)
         even = [on_grid(record, roles.measured) for record in records]
-        gains = tuple(unit_gains(even, chain, [cut_at(record.n, share) for record in even]) for chain in roles.chains)
+        cuts = tuple(cut_at(record.n, share) for record in even)
+        gains = tuple(unit_gains(even, chain, cuts, sensors.gain_sd) for chain in roles.chains)
     else:
         pieces, smoothing = smoothed
         gains = tuple(one.unit_gains for one in smoothing)
@@ -294,7 +295,7 @@ def _smoothed(
     filled = [on_grid(record, roles.channels) for record in records]
     cuts = [cut_at(record.n, share) for record in filled]
     try:
-        found = [smooth_chain(filled, chain, cuts, sensors.noise) for chain in roles.chains]
+        found = [smooth_chain(filled, chain, cuts, sensors.noise, sensors.gain_sd) for chain in roles.chains]
     except RecordError:
         if integrated:  # which only the smoother can do
             raise

@@ -9,6 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
+from types import MappingProxyType
 from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -270,12 +271,17 @@ def rates(chain: Chain, gains: Sequence[float]) -> tuple[float, ...]:
     return tuple(below / above for below, above in pairwise(whole))
 
 
-def unit_gains(records: Sequence[Record], chain: Chain, rows: Sequence[int] | None = None) -> Floats:
+def unit_gains(
+    records: Sequence[Record],
+    chain: Chain,
+    rows: Sequence[int] | None = None,
+    gain_sd: Mapping[str, float] = MappingProxyType({}),
+) -> Floats:
     """Factor of each derivative's channel to the derivative in the unit that the lowest measured one implies, (K+1,).
 
     It is 1 below the lowest measured channel; that of the channel below, where one above it is not measured; negative
     for a channel of the opposite sign. It is learned from the first `rows` of each record, by default from all; NaN is
-    a missing sample.
+    a missing sample. Where the factors of sensors may be off, by `gain_sd`, what they may explain is no unit.
     """
     cuts = [record.n for record in records] if rows is None else list(rows)
     gains = np.ones(chain.order + 1)
@@ -288,6 +294,9 @@ def unit_gains(records: Sequence[Record], chain: Chain, rows: Sequence[int] | No
         stated = {j: _stated(records, below, name, k - j) for j, below in known.items()}
         j = next((j for j, ratio in stated.items() if ratio is not None), max(known))
         found = _estimated(records, cuts, known[j], name, k - j)
+        if found is not None:
+            by_gain = SIGNIFICANT * math.hypot(gain_sd.get(known[j], 0.0), gain_sd.get(name, 0.0))
+            found = found._replace(error=found.error + by_gain)
         gains[k] = gains[j] * _decided(stated[j], found, acceleration=k == 2)
         known[k] = name
     return gains

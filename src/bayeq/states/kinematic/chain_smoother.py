@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -116,13 +117,14 @@ def smooth_chain(
     chain: Chain,
     rows: Sequence[int] | None = None,
     noise: Mapping[str, float] | None = None,
+    gain_sd: Mapping[str, float] = MappingProxyType({}),
 ) -> tuple[list[Floats], ChainSmoothing]:
     """Smoothed derivatives of order 0 to K of a chain in each of some records, (n, K+1), in the units of its channels.
 
     Noise levels are learned from the first `rows` of each record, by default from all; the others are smoothed apart,
     so that nothing is carried from these to those. `noise` has known standard deviations, by channel, in its unit; NaN
-    is a missing sample. A RecordError says why noise cannot be told from motion, or why a coordinate that is not
-    measured cannot be integrated.
+    is a missing sample. For `gain_sd` see `bayeq.states.sensors.unit_gains`. A RecordError says why noise cannot be
+    told from motion, or why a coordinate that is not measured cannot be integrated.
     """
     cuts = [record.n for record in records] if rows is None else list(rows)
     where = records[0].name or "record"
@@ -134,7 +136,7 @@ def smooth_chain(
         )
     whole = [series_of(record, chain.measured) for record in records]
     series = [s.take(slice(0, cut)) for s, cut in zip(whole, cuts, strict=True)]
-    gains = unit_gains(records, chain, cuts)
+    gains = unit_gains(records, chain, cuts, gain_sd)
     try:
         known = _known_noise(series, chain, gains, noise or {})
         model = fit_kinematic([s.over(gains) for s in series], noise_sd=known)
