@@ -22,7 +22,7 @@ from bayeq.likelihood.fit import State, Statistics, adjoints, maximised, of_inpu
 from bayeq.likelihood.gains import Suspect, suspects_of
 from bayeq.likelihood.levels import Levels
 from bayeq.likelihood.model import Fitted, Task
-from bayeq.numerics.distributions import Z95, Shape, incomplete_beta, shape_of
+from bayeq.numerics.distributions import Z95, Shape, excess_of, incomplete_beta, shape_of
 from bayeq.numerics.settings import LIKELIHOOD
 
 # Memories of a discrepancy between which its test is followed.
@@ -401,18 +401,3 @@ def power_of(task: Task, fitted: Fitted) -> float:
 def _scores(filtered: Filtered, delta: Floats) -> Floats:
     """Derivatives of the log likelihood of every sample by the coefficients, (n, r)."""
     return np.asarray(np.einsum("tk,tki->ti", *filtered.standardised(delta)))
-
-
-def excess_of(scores: Sequence[Floats]) -> tuple[float, float]:
-    """tr(J)/r of scores whose stated covariance is the identity, and its standard error were they independent.
-
-    Scores, (n, r) each, are of uninterrupted pieces.
-    """
-    r, longest = scores[0].shape[1], max(map(len, scores))
-    excess, square, lag = sum(float(np.sum(one**2)) for one in scores) / r, 0.0, 0
-    while lag < min(LIKELIHOOD.correlated_lags * excess, longest - 1):
-        lag += 1
-        products = [np.einsum("ti,ti->t", one[lag:], one[:-lag]) for one in scores if len(one) > lag]
-        excess += 2.0 / r * sum(float(p.sum()) for p in products)
-        square += (2.0 / r) ** 2 * sum(float(p @ p) for p in products)
-    return excess, float(np.sqrt(square))

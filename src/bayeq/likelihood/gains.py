@@ -16,6 +16,7 @@ from bayeq.likelihood.filter import run_filter
 from bayeq.likelihood.fit import State, solved
 from bayeq.likelihood.layout import NOTHING
 from bayeq.likelihood.model import Task
+from bayeq.numerics.distributions import excess_of
 from bayeq.numerics.spline import spline_slopes
 from bayeq.states import Gain
 
@@ -43,7 +44,7 @@ def calibration_of(task: Task, state: State, power: float = 1.0) -> Calibration:
     uncertain = task.layout.uncertain
     if not uncertain:
         return Calibration({}, np.zeros((0, 0)), 0.0)
-    information, slope, _ = information_on(task, state, [(i, False) for i, _ in uncertain])
+    _, _, information, slope, _ = _directions(task, state, [(i, False) for i, _ in uncertain])
     taken = np.array([gain.value for _, gain in uncertain])
     known = np.array([gain.prior_sd for _, gain in uncertain]) ** -2.0 * taken**2
     covariance = solved(power * information + np.diag(known), np.eye(len(known)))
@@ -90,38 +91,53 @@ def suspects_of(task: Task, state: State) -> tuple[Suspect, ...]:
     )
     if not sought or layout.discrete:
         return contradicted
-    information, slope, shares = information_on(task, state, sought)
-    sizes = np.sqrt(np.maximum(np.diagonal(information), np.finfo(np.float64).tiny))
-    values, sds = slope / sizes**2, np.abs(slope) / sizes
-    clearly = (sds > SUSPECTED) & (np.abs(values) * shares > AS_SAID)
-    return contradicted + tuple(
-        Suspect(layout.channels[i][0], late, float(values[k]), float(sds[k]))
-        for k, (i, late) in enumerate(sought)
-        if clearly[k]
-    )
+    found = _directions(task, state, sought)
+    values = found.slope / np.maximum(np.diagonal(found.information), np.finfo(np.float64).tiny)
+    out = list(contradicted)
+    for k, (i, late) in enumerate(sought):
+        if abs(values[k]) * found.shares[k] > AS_SAID:
+            # noise that is not white makes the slope less certain: by the scores with the channel put right
+            own = [(change[..., k], left) for left, change in zip(found.left, found.changes, strict=True)]
+            scores = [(change * (left - values[k] * change)).sum(axis=1)[:, None] for change, left in own]
+            unit = float(np.sqrt(found.information[k, k]))
+            excess, _ = excess_of([one / unit for one in scores])
+            sds = abs(float(found.slope[k])) / unit / np.sqrt(max(excess, 1.0))
+            if sds > SUSPECTED:
+                out.append(Suspect(layout.channels[i][0], late, float(values[k]), float(sds)))
+    return tuple(out)
 
 
-def information_on(task: Task, state: State, sought: Sequence[tuple[int, bool]]) -> tuple[Floats, Floats, Floats]:
-    """The likelihood about a fit by factors of channels, or by their lags, coefficients integrated out.
+class _Directions(NamedTuple):
+    """How the innovations of records change with factors or lags of channels, coefficients integrated out."""
 
-    Each is a channel and whether its lag is sought [s], in place of its factor. Information, (G, G), and slope, (G,);
-    what each changes its channel by, as a share of the channel's standard deviation, (G,).
-    """
-    found, count = task.marginal(state), len(sought)
-    information, across, slope = np.zeros((count, count)), np.zeros((len(state.theta), count)), np.zeros(count)
-    square, rows = np.zeros(count), sum(len(one.samples) for one in task.series)
-    still = state.levels.noise._replace(mean=np.zeros(task.layout.size))
+    left: list[Floats]  # (n, M), standardised innovations
+    changes: list[Floats]  # (n, M, G), their derivatives, less what coefficients make up for
+    information: Floats  # (G, G)
+    slope: Floats  # (G,)
+    shares: Floats  # (G,), what each changes its channel by, as a share of the channel's standard deviation
+
+
+def _directions(task: Task, state: State, sought: Sequence[tuple[int, bool]]) -> _Directions:
+    """Those of channels, each with whether its lag [s] is sought in place of its factor."""
+    found, size, pieces = task.marginal(state), task.layout.size, []
+    square, rows = np.zeros(len(sought)), sum(len(one.samples) for one in task.series)
+    still = state.levels.noise._replace(mean=np.zeros(size))
     for one, linear, filtered in zip(task.series, task.linearised(state), found.filtered, strict=True):
         left, columns = filtered.standardised(found.delta)
-        time, changes = np.append(0.0, np.cumsum(one.intervals)), np.empty((*left.shape, count))
+        time, changes = np.append(0.0, np.cumsum(one.intervals)), np.empty((*left.shape, len(sought)))
         for k, (i, late) in enumerate(sought):
             seen, samples = one.samples[:, [i]] - linear.residual[:, [i]], 0.0 * linear.residual
+            if task.layout.drift:
+                seen = seen - linear.path[:, task.layout.drifts[[i]]]
             samples[:, [i]] = -spline_slopes(time, seen) if late else seen
             square[k] += float(np.nansum(samples[:, i] ** 2))
             at_rest = linear._replace(path=0.0 * linear.path, end=0.0 * linear.end, residual=samples)
             changes[..., k] = run_filter(at_rest, NOTHING, still).standardised(np.zeros(0))[0]
-        information += np.einsum("tmi,tmj->ij", changes, changes)
-        across += np.einsum("tmr,tmi->ri", columns, changes)
-        slope += np.einsum("tmi,tm->i", changes, left)
+        pieces.append((left, columns, changes))
+    across = sum(np.einsum("tmr,tmi->ri", columns, changes) for _, columns, changes in pieces)
+    alone = [changes - columns @ (found.covariance @ across) for _, columns, changes in pieces]
+    both = [(own, left, changes) for own, (left, _, changes) in zip(alone, pieces, strict=True)]
+    information = np.sum([np.einsum("tmi,tmj->ij", own, changes) for own, _, changes in both], axis=0)
+    slope = np.sum([np.einsum("tmi,tm->i", changes, left) for _, left, changes in both], axis=0)
     shares = np.sqrt(square / rows / state.levels.scales.channels[[i for i, _ in sought]])
-    return information - across.T @ found.covariance @ across, slope, shares
+    return _Directions([left for left, _, _ in pieces], alone, information, slope, shares)

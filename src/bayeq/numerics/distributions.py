@@ -1,12 +1,16 @@
-"""The normal distribution, Student's t and the regularised incomplete beta function."""
+"""The normal distribution, Student's t, the regularised incomplete beta function, and the spread of correlated sums."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from bayeq.arrays import Floats
+from bayeq.numerics.settings import LIKELIHOOD
 
 #: Half-width of a 95 % interval, in standard deviations.
 Z95 = 1.959963984540054
@@ -89,3 +93,18 @@ def incomplete_beta(a: float, b: float, x: float) -> float:
         if abs(c * d - 1.0) < CLOSE:
             break
     return math.exp(log_front) * fraction / a
+
+
+def excess_of(scores: Sequence[Floats]) -> tuple[float, float]:
+    """tr(J)/r of scores whose stated covariance is the identity, and its standard error were they independent.
+
+    Scores, (n, r) each, are of uninterrupted pieces.
+    """
+    r, longest = scores[0].shape[1], max(map(len, scores))
+    excess, square, lag = sum(float(np.sum(one**2)) for one in scores) / r, 0.0, 0
+    while lag < min(LIKELIHOOD.correlated_lags * excess, longest - 1):
+        lag += 1
+        products = [np.einsum("ti,ti->t", one[lag:], one[:-lag]) for one in scores if len(one) > lag]
+        excess += 2.0 / r * sum(float(p.sum()) for p in products)
+        square += (2.0 / r) ** 2 * sum(float(p @ p) for p in products)
+    return excess, float(np.sqrt(square))
