@@ -22,7 +22,7 @@ from bayeq.inference.gram import Gram, Standardised
 from bayeq.inference.posterior import Mixture, Posterior
 from bayeq.inference.prior import Prior, limited
 from bayeq.likelihood.spike import softened_rows
-from bayeq.numerics.distributions import Z95, t95
+from bayeq.numerics.distributions import Z95, t_quantile
 from bayeq.numerics.settings import REGRESSION
 from bayeq.regression.by_likelihood import calibrated
 from bayeq.regression.constraints import Constraints
@@ -234,7 +234,7 @@ def _moved(fit: RegressionFit, reported: Posterior) -> tuple[Floats, Floats]:
     if reported.projected is not None and reported.support.any():
         exact = fit.expanded(fit.conditional(reported.support[fit.constraints.equalities.kept]))
         known = exact.sd > 0.0
-        factor[known] = t95(reported.projected.freedom[known]) / Z95 * reported.sd[known] / exact.sd[known]
+        factor[known] = t_quantile(reported.projected.freedom[known]) / Z95 * reported.sd[known] / exact.sd[known]
         change[known] = (reported.coef - exact.coef)[known]
     return factor, change
 
