@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from bayeq.errors import BayeqError, InputError, UnknownNameError, needing
 from bayeq.expressions import parse, to_sympy
 from bayeq.inference.engines import NOTEWORTHY_PIP
+from bayeq.markup import shortened
 from bayeq.records.io import replacing
 
 if TYPE_CHECKING:
@@ -255,11 +256,6 @@ def mathtext(expression: str, order: tuple[str, ...] = ()) -> str:
     text = re.sub(r"\b([a-z])([A-Z])\b", r"\1_{\2}", text)
     text = text.replace(" |", r"\,|")
     return f"${re.sub('^- ', '-', text)}$"
-
-
-def shortened(text: str, longest: int = 18) -> str:
-    """A text whose middle is left out if it is long, so that a label fits."""
-    return text if len(text) <= longest else f"{text[: longest // 2 - 1]}…{text[-longest // 2 :]}"
 
 
 def plain(text: str) -> str:
