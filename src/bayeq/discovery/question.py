@@ -261,12 +261,7 @@ class Question:
         return partial(record_of, smooth=self.smooth, dictionary=self.dictionary, prior=self.prior, tolerance=tolerance)
 
     def _record(
-        self,
-        design: Design,
-        known: Sequence[str],
-        log: WarningLog,
-        others: Sequence[Motion],
-        in_memory: bool,
+        self, design: Design, known: Sequence[str], log: WarningLog, others: Sequence[Motion], in_memory: bool
     ) -> tuple[RecordFit | None, tuple[str, ...], tuple[Constraints, ...]]:
         """The likelihood of the records, and what is known that holds, as text and of each equation.
 

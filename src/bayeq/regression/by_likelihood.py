@@ -159,8 +159,7 @@ class RecordRegression(Regression):
         every = np.full(len(kept), np.inf)
         every[kept] = np.maximum(freedom[:r], LEAST_FREEDOM)
         found = replace(
-            found,
-            projected=Projected(own, sd, every, moved.share, moved.share * math.sqrt(left.target), left.lines),
+            found, projected=Projected(own, sd, every, moved.share, moved.share * math.sqrt(left.target), left.lines)
         )
         return _with_constant(found, theta + change, both)
 

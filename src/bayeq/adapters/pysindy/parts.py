@@ -272,10 +272,7 @@ def _sizes(values: Floats) -> Floats:
 def _in_original_units(gram: Gram, size: Floats, target_size: float) -> Gram:
     """The statistics of columns and target as they were."""
     return replace(
-        gram,
-        DtD=gram.DtD * np.outer(size, size),
-        Dty=gram.Dty * size * target_size,
-        yty=gram.yty * target_size**2,
+        gram, DtD=gram.DtD * np.outer(size, size), Dty=gram.Dty * size * target_size, yty=gram.yty * target_size**2
     )
 
 

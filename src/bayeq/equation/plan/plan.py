@@ -163,11 +163,7 @@ class _Planning:
         return Outcome(design, amplitudes, share not in SHARES, rate, sd, seconds, peaks, tuple(separations))
 
     def _separation(
-        self,
-        rival: Rival,
-        place: int,
-        runs: Sequence[Mapping[str, Floats]],
-        own: Sequence[Mapping[str, Floats] | None],
+        self, rival: Rival, place: int, runs: Sequence[Mapping[str, Floats]], own: Sequence[Mapping[str, Floats] | None]
     ) -> Separation:
         """How some realisations tell a rival: of the leading model's motion, and of the rival's own."""
         equation, leading, fs = self.equations[rival.k], self.leading[rival.k], self.conditions.fs

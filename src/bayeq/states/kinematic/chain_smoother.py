@@ -112,10 +112,7 @@ def _rate(series: Sequence[ChainSeries]) -> float | None:
 
 
 def smooth_chain(
-    records: Sequence[Record],
-    chain: Chain,
-    rows: Sequence[int] | None = None,
-    noise: Mapping[str, float] | None = None,
+    records: Sequence[Record], chain: Chain, rows: Sequence[int] | None = None, noise: Mapping[str, float] | None = None
 ) -> tuple[list[Floats], ChainSmoothing]:
     """Smoothed derivatives of order 0 to K of a chain in each of some records, (n, K+1), in the units of its channels.
 
