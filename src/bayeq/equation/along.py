@@ -34,12 +34,7 @@ def prepared(eq: Answer, records: Sequence[Record], divide: bool = False, level:
     """Records as they were measured, without bad samples, and with `divide` divided at long gaps.
 
     What `discover` has said of them is not said again. Warnings name the line at this `level`, as in `warnings.warn`,
-    by default that of the caller's caller.
-
-    Warns
-    -----
-    DataWarning
-        Samples that are missing or left out, and gaps.
+    by default that of the caller's caller. DataWarning of samples that are missing or left out, and of gaps.
     """
     roles = _without_targets(eq.roles.seen, records)
     found, messages = cleaned(records, roles, eq.smooth)

@@ -157,20 +157,10 @@ MOST_MODELS = 300
 def mixture_of(fit: RegressionFit, reported: Posterior, struck: Bools | None = None) -> Mixture | None:
     """The P coefficients over models, in original units, and after them the intercept, which is in all models.
 
-    Parameters
-    ----------
-    fit : RegressionFit
-        With the models that were averaged over, or draws.
-    reported : Posterior
-        Of one model, as it is reported: by the likelihood of the record by projection. Its terms differ in other models
-        by the same factor and change.
-    struck : (F,) bool array, optional
-        Terms that are taken out of every model, the others estimated again.
-
-    Returns
-    -------
-    Mixture or None
-        None where no models are averaged, or none are listed that terms could be taken out of.
+    The fit has the models that were averaged over, or draws. What is reported is of one model, by the likelihood of the
+    record by projection: its terms differ in other models by the same factor and change. Terms that are `struck` (F,)
+    are taken out of every model, the others estimated again. None where no models are averaged, or none are listed that
+    terms could be taken out of.
     """
     posterior, average, draws = fit.posterior, fit.posterior.average, fit.posterior.draws
     again = struck is not None and bool(struck.any())
