@@ -120,23 +120,11 @@ def fit_regression(
 ) -> RegressionFit:
     """Posterior of one equation.
 
-    Parameters
-    ----------
-    regression : Regression
-        What counts as data.
-    constraints : Constraints
-        Equalities are taken out before inference; signs and bounds go into the prior.
-    engine : Engine
-        A row of `bayeq.inference.engines.ENGINES`.
-    prior : Prior, optional
-        On standardised columns, the target in units of the least-squares residual. By default p_0 = 0.1 and a slab
-        variance v_s that maximises the evidence, at least 10.
-    coarsen : float
-        Power, above 0 and at most 1, that the likelihood is raised to.
-    tolerance : float, optional
-        Size of what the terms may lack beside the likelihood of rows (`bayeq.likelihood.spike`).
-    seed : tuple of int
-        Of engines that draw random numbers.
+    Equalities are taken out before inference; signs and bounds go into the prior, which is on standardised columns, the
+    target in units of the least-squares residual: by default p_0 = 0.1 and a slab variance v_s that maximises the
+    evidence, at least 10. The likelihood is raised to the power `coarsen`, above 0 and at most 1; `tolerance` is the
+    size of what the terms may lack beside the likelihood of rows (`bayeq.likelihood.spike`); engines that draw random
+    numbers have the seed.
     """
     regression = regression.raised(coarsen)
     reduced = constraints.reduce(regression.gram)

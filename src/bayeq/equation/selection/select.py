@@ -80,10 +80,7 @@ class Rules:
     def check(self, method: str) -> None:
         """Check the limits, and that the method's models can be compared.
 
-        Raises
-        ------
-        InputError
-            Values out of range, or a method without spike-and-slab prior.
+        InputError for values out of range, or a method without spike-and-slab prior.
         """
         if self.tolerance is not None:
             require_number(self.tolerance, "tolerance")
