@@ -19,7 +19,7 @@ import numpy as np
 
 from bayeq.discovery import discover
 from bayeq.equation.equations import Equations
-from bayeq.equation.text import undecided
+from bayeq.equation.text import forms_of
 from bayeq.records import Record
 from bayeq.systems import BandLimitedForce, System, simulate
 from bayeq.systems.simulate import band_limited_noise
@@ -171,7 +171,11 @@ def judged_with_constants(truth: Mapping[str, float], constants: Mapping[str, fl
         if one.name in constants:
             value = constants[one.name]
             found["terms"][f"{{{one.name}}}"] = [one.value - value, one.sd, one.ci95[0] <= value <= one.ci95[1]]
-    return {**found, "verdict": eqs.verdict.kind, "undecided": undecided(eq)}
+    return {
+        **found,
+        "verdict": eqs.verdict.kind,
+        "undecided": any(line.startswith("form undecided") for line in forms_of(eq)),
+    }
 
 
 def _measure(kind: str, chain: str, noise: float, seed: int) -> Outcome:

@@ -19,7 +19,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 import bayeq as bq
-from bayeq.app.choices import READING, ROLES, Choice, Choices, chains_of, discover_command, inputs_of, proposed
+from bayeq.app.choices import INPUT, READING, ROLES, Choice, Choices, chains_of, discover_command, proposed
 from bayeq.app.server import Guard
 from bayeq.app.session import LARGEST, LONGEST_NAME, Child, Session, Workspace, safe_name
 from bayeq.cli.app import main
@@ -86,7 +86,7 @@ def test_what_is_typed_is_the_value_of_its_option_and_nothing_else(text):
 def test_proposed_roles_make_the_proposed_chains(chains):
     choices = proposed(info_of(chains, ["u", "f"], ["other"]))
     assert chains_of(choices) == chains
-    assert inputs_of(choices) == ["u", "f"]
+    assert [name for name, choice in choices.items() if choice.role == INPUT] == ["u", "f"]
     assert choices["other"].role == ""
     # states alone have no numbers, which the page would have to show
     assert {choice.coordinate for choice in choices.values()} == {1} or any(":" in chain for chain in chains[1:])

@@ -11,9 +11,9 @@ from scipy.interpolate import CubicSpline
 import bayeq as bq
 from bayeq.cli.app import main
 from bayeq.errors import DataWarning, InputError, RecordError, UnknownNameError
+from bayeq.numerics.distributions import t_quantile
 from bayeq.records import check_messages
 from bayeq.records.consistency import Frames, _weak_derivative, relate, uniform_frames
-from bayeq.records.findings import _student
 from tests.data import measured
 
 OSCILLATORS = ("linear", "duffing", "quadratic", "coulomb")
@@ -298,7 +298,7 @@ def test_student_s_quantile():
     from scipy.stats import norm, t
 
     for freedom in (6, 10, 30):
-        assert _student(4.0, freedom) == pytest.approx(t.isf(norm.sf(4.0), freedom), rel=0.05)
+        assert t_quantile(freedom, 4.0) == pytest.approx(t.isf(norm.sf(4.0), freedom), rel=0.05)
 
 
 # --- samples ---------------------------------------------------------------------------------------------------------

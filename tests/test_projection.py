@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 
 import bayeq as bq
 from bayeq.likelihood.projection import leftover, projected
-from bayeq.numerics.distributions import t95
+from bayeq.numerics.distributions import t_quantile
 
 
 def quietly(*arguments, **options):
@@ -74,7 +74,7 @@ def test_batches_that_are_too_few_tell_no_variance():
 
 def test_half_widths_of_student_s_t():
     freedom = np.array([3.0, 4.0, 7.5, 15.0, 63.0, 1e4])
-    np.testing.assert_allclose(t95(freedom), stats.t.ppf(0.975, freedom), rtol=0.01)
+    np.testing.assert_allclose(t_quantile(freedom), stats.t.ppf(0.975, freedom), rtol=0.01)
 
 
 def with_a_second_force(seed, share):

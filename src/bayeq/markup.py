@@ -56,6 +56,11 @@ def join(*parts: str) -> str:
     return f"<div>{''.join(parts)}</div>"
 
 
+def shortened(text: str, longest: int = 18) -> str:
+    """The beginning and the end, by which names differ, of a text that is longer; `longest` is even."""
+    return text if len(text) <= longest else f"{text[: longest // 2 - 1]}…{text[-longest // 2 :]}"
+
+
 def text_console(width: int) -> Console:
     """What text is printed to: styled if standard output is a terminal, else plain and `width` characters wide."""
     from rich.console import Console

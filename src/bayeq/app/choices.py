@@ -104,11 +104,6 @@ def chains_of(choices: Mapping[str, Choice]) -> list[str]:
     return out
 
 
-def inputs_of(choices: Mapping[str, Choice]) -> list[str]:
-    """Channels that drive the motion."""
-    return [name for name, choice in choices.items() if choice.role == INPUT]
-
-
 def _only(of: Mapping[str, str], role: str, number: int) -> str:
     """The channel of a role, empty where there is none."""
     names = [name for name, its in of.items() if its == role]
@@ -163,8 +158,9 @@ def discover_command(files: Sequence[str], choices: Choices) -> list[str]:
     words = ["discover", *files, *choices.words]
     for chain in chains_of(choices.roles):
         words += ["--chain", chain]
-    for name in inputs_of(choices.roles):
-        words += ["--input", name]
+    for name, choice in choices.roles.items():
+        if choice.role == INPUT:
+            words += ["--input", name]
     for name, choice in choices.roles.items():
         if choice.unit.strip():
             words += ["--units", f"{name}={choice.unit.strip()}"]

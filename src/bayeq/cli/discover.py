@@ -107,8 +107,7 @@ class _Method(click.Choice):  # type: ignore[type-arg]  # generic in the latest 
     " equation a), '0 <= a: x**3 <= 5' (bounds). Once per constraint.",
 )
 @opt.in_terms(
-    "--conserve",
-    help="A sum of states that does not change, 'S + I + R': terms are flows between two of them.",
+    "--conserve", help="A sum of states that does not change, 'S + I + R': terms are flows between two of them."
 )
 @opt.in_terms(
     "--differs",

@@ -31,22 +31,17 @@ ROLES = ("displacement", "velocity", "acceleration", "force")
 _INDEX = re.compile(r"\[(?:\*|\d+(?:,\d+)?)\]")
 
 
-class _File(click.ParamType):  # type: ignore[type-arg]  # generic in the latest click only
+class _File(click.Path):
     """The path of a file; whether it is there is checked where it is read or written."""
 
-    name = "file"
-
-    def convert(self, value: str | Path, param: click.Parameter | None, ctx: click.Context | None) -> Path:
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         if "\0" in str(value):
             self.fail("a null byte is no part of a file's name", param, ctx)
-        return Path(value)
-
-    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
-        """Names of files."""
-        return click.Path().shell_complete(ctx, param, incomplete)
+        return super().convert(value, param, ctx)
 
 
-FILE = _File()
+FILE = _File(readable=False, path_type=Path)
+FILE.name = "file"
 
 
 class _Option(click.Option):

@@ -107,10 +107,7 @@ class Reading:
     @property
     def of_file(self) -> dict[str, Any]:
         """Arguments of `bayeq.records.read`."""
-        return {
-            "time": self.time, "fs": self.fs, "names": self.names, "group": self.group, "units": self.units,
-            "skip": self.skip, "sheet": self.sheet,
-        }  # fmt: skip
+        return {name: getattr(self, name) for name in ("time", "fs", "names", "group", "units", "skip", "sheet")}
 
     def streamed(self, files: Sequence[Path]) -> bool:
         """Whether files are read some rows at a time: folders, large files, or as `stream` says."""

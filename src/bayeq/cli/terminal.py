@@ -346,12 +346,7 @@ def _write_report(
 
 
 def show_equations(
-    answer: Equations,
-    as_json: bool,
-    conditional: bool,
-    physical: bool,
-    explain: bool = False,
-    verbose: bool = False,
+    answer: Equations, as_json: bool, conditional: bool, physical: bool, explain: bool = False, verbose: bool = False
 ) -> None:
     """Print equations in a few lines, in full where that or more than them is asked for, or as one JSON object."""
     if as_json:

@@ -15,15 +15,7 @@ import numpy as np
 from bayeq.arrays import Bools, Floats
 from bayeq.dictionary import families
 from bayeq.dictionary.ranges import with_ranges
-from bayeq.dictionary.specification import (
-    Member,
-    Specification,
-    Variables,
-    members,
-    of_equations,
-    split_at,
-    written,
-)
+from bayeq.dictionary.specification import Member, Specification, Variables, members, of_equations, split_at, written
 from bayeq.errors import ExpressionError, FileFormatError, InputError, UnknownNameError, require_kind
 from bayeq.expressions import Binary, Evaluator, Expression, Negate, Node, Unknown, parse
 from bayeq.expressions.functions import CONSTANTS, FUNCTIONS, TIME

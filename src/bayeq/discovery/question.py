@@ -124,21 +124,9 @@ class Question:
     ) -> tuple[Equations, WarningLog]:
         """The equations, and the warnings that go with them.
 
-        Parameters
-        ----------
-        records : sequence of Record
-            Measured channels.
-        whole : Whole, optional
-            All rows, where the records are stretches of longer ones.
-        because : str, optional
-            What to say of the choice of the records.
-
-        Raises
-        ------
-        InputError
-            Channels, terms or samples that cannot be used.
-        NotStreamed
-            Stretches do not do for what is asked.
+        `whole` is all rows, where the records are stretches of longer ones, and `because` what to say of the choice of
+        the records. InputError for channels, terms or samples that cannot be used; NotStreamed where stretches do not
+        do for what is asked.
         """
         if self.differs:
             question, numbered = self._by_record(records, whole)
@@ -261,12 +249,7 @@ class Question:
         return partial(record_of, smooth=self.smooth, dictionary=self.dictionary, prior=self.prior, tolerance=tolerance)
 
     def _record(
-        self,
-        design: Design,
-        known: Sequence[str],
-        log: WarningLog,
-        others: Sequence[Motion],
-        in_memory: bool,
+        self, design: Design, known: Sequence[str], log: WarningLog, others: Sequence[Motion], in_memory: bool
     ) -> tuple[RecordFit | None, tuple[str, ...], tuple[Constraints, ...]]:
         """The likelihood of the records, and what is known that holds, as text and of each equation.
 

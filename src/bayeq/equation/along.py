@@ -34,12 +34,7 @@ def prepared(eq: Answer, records: Sequence[Record], divide: bool = False, level:
     """Records as they were measured, without bad samples, and with `divide` divided at long gaps.
 
     What `discover` has said of them is not said again. Warnings name the line at this `level`, as in `warnings.warn`,
-    by default that of the caller's caller.
-
-    Warns
-    -----
-    DataWarning
-        Samples that are missing or left out, and gaps.
+    by default that of the caller's caller. DataWarning of samples that are missing or left out, and of gaps.
     """
     roles = _without_targets(eq.roles.seen, records)
     found, messages = cleaned(records, roles, eq.smooth)
@@ -117,24 +112,16 @@ def free_run(eq: Answer, record: Record, *, interpolation: Interpolation | None 
     )
 
 
-def scores(
-    eq: Answer,
-    records: Sequence[Record],
-    *,
-    start: int | None = None,
-    rows: int | None = None,
-    interpolation: Interpolation | None = None,
-) -> Scores:
-    """See `Equations.score`."""
+def scores(eq: Answer, records: Sequence[Record], *, interpolation: Interpolation | None = None, **how: Any) -> Scores:
+    """See `Equations.score`, whose other arguments go to `score_records`."""
     return score_records(
         eq.dynamics(),
         records,
         eq.smooth,
         eq.data.sensors,
-        start=start,
-        rows=rows,
         share=eq.data.holdout or LAST,
         interpolation=_between(eq, interpolation),
+        **how,
     )
 
 
@@ -181,8 +168,8 @@ def refinement(eq: Found, records: Sequence[Record], holdout: float, interpolati
     return replace(
         eq,
         equations=EquationTuple(
-            old.with_posterior(new.posterior, train=new.train, held_out=new.held_out, residuals=new.residuals)
-            for old, new in zip(eq.equations, found.equations, strict=True)
+            old.with_posterior(posterior, **changes)
+            for old, (posterior, changes) in zip(eq.equations, found.equations, strict=True)
         ),
         warnings=(*eq.warnings, *found.log.messages),
         scores=found.scores,

@@ -309,8 +309,7 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
     regression = selection.fit.regression
     if not regression.counts_rows and math.isnan(regression.exact):
         log.warn(
-            f"{target}: whether the law is exact or only nearly true is not known: measure longer",
-            ConvergenceWarning,
+            f"{target}: whether the law is exact or only nearly true is not known: measure longer", ConvergenceWarning
         )
     own = posterior.coef if posterior.projected is None else posterior.projected.coef
     for j, mean, sd in selection.fit.constraints.stated:
@@ -371,8 +370,7 @@ def _warn_of_rivals(equation: Equation, selection: Selection, log: WarningLog) -
     if likelier and not equation.left_out:
         listed = some_of([f"{r} (odds {r.odds})" for r in likelier], 30, "; ")
         log.warn(
-            f"{target}: shown are PIPs above 0.5; likelier is the equation {listed}: measure longer",
-            AmbiguityWarning,
+            f"{target}: shown are PIPs above 0.5; likelier is the equation {listed}: measure longer", AmbiguityWarning
         )
     swaps = [r for r in equation.runners_up if r.leaves and r.enters and r.log_odds > -AMBIGUOUS]
     if found.average is not None:

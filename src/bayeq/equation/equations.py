@@ -246,11 +246,7 @@ class Equations(Answer):
         return scores(self, pieces, start=start, rows=rows, interpolation=interpolation)
 
     def refine(
-        self,
-        records: Record | Sequence[Record],
-        *,
-        holdout: float = 0.2,
-        interpolation: Interpolation | None = None,
+        self, records: Record | Sequence[Record], *, holdout: float = 0.2, interpolation: Interpolation | None = None
     ) -> Self:
         """The same terms with coefficients by output error: those whose free run comes closest to what was measured.
 

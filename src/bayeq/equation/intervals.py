@@ -13,7 +13,7 @@ from bayeq.equation.selection.select import LeftOut
 from bayeq.errors import whole_number
 from bayeq.forecast.dynamics import normal_draws
 from bayeq.inference.posterior import Draws, Posterior
-from bayeq.numerics.distributions import Z95, t95
+from bayeq.numerics.distributions import Z95, t_quantile
 from bayeq.numerics.settings import EQUATION
 from bayeq.regression.fit import RegressionFit, mixture_of
 
@@ -64,7 +64,7 @@ class Model:
     @classmethod
     def of(cls, posterior: Posterior, terms: tuple[str, ...]) -> Model:
         """Given the terms in a posterior's support."""
-        half = (Z95 if posterior.projected is None else t95(posterior.projected.freedom)) * posterior.sd
+        half = (Z95 if posterior.projected is None else t_quantile(posterior.projected.freedom)) * posterior.sd
         return cls(
             terms,
             posterior.support,

@@ -151,11 +151,7 @@ def _restore(content: Saved) -> Equations:
     bounds = [one.bounds for one in found.known()]  # constraints that cannot be read are damage
     if any(ends is not None for ends in bounds):
         bounded = [
-            replace(
-                one,
-                posterior=_bounded(one.posterior, ends),
-                shown_posterior=_bounded(one.shown_posterior, ends),
-            )
+            replace(one, posterior=_bounded(one.posterior, ends), shown_posterior=_bounded(one.shown_posterior, ends))
             for one, ends in zip(found.equations, bounds, strict=True)
         ]
         found = replace(found, equations=EquationTuple(bounded))

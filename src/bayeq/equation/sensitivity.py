@@ -107,9 +107,7 @@ class PipCurve:
         if self.rows is not None:
             columns["rows"] = np.repeat(self.rows, terms)
         return pd.DataFrame(columns).assign(
-            term=list(self.names) * len(self.values),
-            pip=self.pip.ravel(),
-            left_out=np.repeat(self.left_out, terms),
+            term=list(self.names) * len(self.values), pip=self.pip.ravel(), left_out=np.repeat(self.left_out, terms)
         )
 
     def changes(self) -> pd.DataFrame:

@@ -176,26 +176,16 @@ def _render_equation(
 
 def forms_of(equation: Equation) -> list[str]:
     """How likely the members of each either-or are that is in the equation."""
-    return [
-        f"form{'' if sure else ' undecided'}: {', '.join(f'{name} {share:.3f}' for name, share in found)}"
-        for found, sure in _ranked_forms(equation)
-    ]
-
-
-def undecided(equation: Equation) -> bool:
-    """Whether another member of an either-or may as well be in the equation."""
-    return any(not sure for _, sure in _ranked_forms(equation))
-
-
-def _ranked_forms(equation: Equation) -> Iterator[tuple[list[tuple[str, float]], bool]]:
-    """Members with their probabilities, the likeliest first, and whether that is sure."""
+    out = []
     for found in equation.forms.values():
         if len(found) > 1 and set(found) & set(equation.shown):
             top = max(found.values())
             weight = {name: math.exp(value - top) for name, value in found.items()}
             total = sum(weight.values())
             ranked = [(name, weight[name] / total) for name in sorted(weight, key=lambda name: -weight[name])]
-            yield ranked, ranked[1][1] < FORMS
+            listed = ", ".join(f"{name} {share:.3f}" for name, share in ranked)
+            out.append(f"form{'' if ranked[1][1] < FORMS else ' undecided'}: {listed}")
+    return out
 
 
 def _differences(equation: Equation, score: str) -> list[str]:

@@ -218,12 +218,7 @@ class OscillatorUnits:
     """
 
     def __init__(
-        self,
-        units: Mapping[str, str],
-        chain: Chain,
-        gains: Sequence[float],
-        force: str | None,
-        in_kg: bool = False,
+        self, units: Mapping[str, str], chain: Chain, gains: Sequence[float], force: str | None, in_kg: bool = False
     ) -> None:
         x = chain.names[0]
         self.length: Unit | None = parse_unit(units[x]) if x in units else None

@@ -5,7 +5,6 @@ runs       free runs, one step, phase portrait
 terms      probabilities, coefficients, correlation of terms; coefficients over many files
 forces     restoring forces
 frequency  spectra, frequency response
-paper      Figs. 4 and 5 of the paper
 
 Pictures of an answer are called as ``bayeq.figures.pip_bars(eq)`` or ``bayeq.figures.free_run(eq, record)``: they take
 the equations, a record, and axes to draw on, and return the axes. A new one is a function under `style.picture`, named

@@ -9,16 +9,15 @@ from contextlib import contextmanager
 from functools import wraps
 from inspect import signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.arrays import Floats
 from bayeq.errors import BayeqError, InputError, UnknownNameError, needing
-from bayeq.expressions import Expression, parse, to_sympy
+from bayeq.expressions import parse, to_sympy
 from bayeq.inference.engines import NOTEWORTHY_PIP
-from bayeq.records import Record
+from bayeq.markup import shortened
 from bayeq.records.io import replacing
 
 if TYPE_CHECKING:
@@ -26,10 +25,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
-
-    from bayeq.inference.posterior import Posterior
-    from bayeq.states import Chain
-    from bayeq.states.motion import MotionRows
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -263,11 +258,6 @@ def mathtext(expression: str, order: tuple[str, ...] = ()) -> str:
     return f"${re.sub('^- ', '-', text)}$"
 
 
-def shortened(text: str, longest: int = 18) -> str:
-    """A text whose middle is left out if it is long, so that a label fits."""
-    return text if len(text) <= longest else f"{text[: longest // 2 - 1]}…{text[-longest // 2 :]}"
-
-
 def plain(text: str) -> str:
     """Text that matplotlib sets as it stands."""
     return text.replace("$", r"\$")
@@ -296,61 +286,10 @@ RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 # More points than this are drawn as every second, third ... of them.
 MOST_POINTS = 4000
 
-
-class Run(Protocol):
-    """A free run; see `bayeq.Forecast`."""
-
-    @property
-    def time(self) -> Floats: ...
-    @property
-    def mean(self) -> Mapping[str, Floats]: ...
-    @property
-    def low(self) -> Mapping[str, Floats]: ...
-    @property
-    def high(self) -> Mapping[str, Floats]: ...
-    @property
-    def measured(self) -> Mapping[str, Floats]: ...
-    @property
-    def units(self) -> Mapping[str, str]: ...
-    @property
-    def blew_up_at(self) -> float | None: ...
-
-
-class EquationLike(Protocol):
-    """One equation; see `bayeq.Equation`."""
-
-    @property
-    def chain(self) -> Chain: ...
-    @property
-    def terms(self) -> tuple[Expression, ...]: ...
-    @property
-    def posterior(self) -> Posterior: ...
-    @property
-    def shown_posterior(self) -> Posterior: ...
-    @property
-    def printed_ci95(self) -> Floats: ...
-    @property
-    def units(self) -> Mapping[str, str]: ...
-    @property
-    def coef_units(self) -> tuple[str | None, ...]: ...
-    @property
-    def target(self) -> str: ...
-    def predict(self, columns: Mapping[str, Floats], return_std: bool = False) -> Any: ...
-
-
-class Answer(Protocol):
-    """Equations; see `bayeq.Equations`."""
-
-    @property
-    def equations(self) -> Sequence[EquationLike]: ...
-    @property
-    def inputs(self) -> tuple[str, ...]: ...
-    @property
-    def units(self) -> Mapping[str, str]: ...
-    @property
-    def data(self) -> Any: ...  # the summary of the data: holdout, clock, rows_as_time, estimated
-    def motion(self, record: Record) -> MotionRows: ...
-    def simulate(self, record: Record, *, draws: int = 200, start: int = 0, rows: int | None = None) -> Run: ...
+# `bayeq.Forecast`, `bayeq.Equation` and `bayeq.Equations`, which stand above this folder and are not imported here.
+Run: TypeAlias = Any
+EquationLike: TypeAlias = Any
+Answer: TypeAlias = Any
 
 
 def equation_of(eq: Answer, target: str | None) -> EquationLike:

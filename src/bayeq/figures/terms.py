@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from bayeq.errors import InputError
 from bayeq.expressions import Evaluator
 from bayeq.figures import style
+from bayeq.markup import shortened
 from bayeq.numerics.distributions import Z95
 from bayeq.records import Record
 
@@ -156,7 +157,7 @@ def coefficient_forest(
     reach = 1.15 * float(np.abs(off).max(initial=1e-6))
     ax.set_xlim(-reach, reach)
     for place, (j, value, spread) in enumerate(zip(kept, coef, sd, strict=True)):
-        unit = style.shortened(style.unit_text(equation.coef_units[j] or ""))
+        unit = shortened(style.unit_text(equation.coef_units[j] or ""))
         text = _number(value, spread) + (f" {unit}" if unit not in ("", "1") else "")
         _beside(ax, place, style.plain(text.replace("-", "\N{MINUS SIGN}", 1) if value < 0 else text), fontsize=7)
     ax.set_xlabel("deviation from the estimate [% of it]")

@@ -16,15 +16,7 @@ from bayeq.expressions.parse import EARLIER
 from bayeq.figures.runs import draw_forecasts
 from bayeq.figures.style import write_output
 from bayeq.forecast.dynamics import Dynamics, finest_step
-from bayeq.forecast.rows import (
-    Courses,
-    Rows,
-    between,
-    normalised_error,
-    require_time,
-    rows_of,
-    window_of,
-)
+from bayeq.forecast.rows import Courses, Rows, between, normalised_error, require_time, rows_of, window_of
 from bayeq.inference.posterior import Projected
 from bayeq.numerics.rk4 import Drive, check_interpolation, free_runs, interpolant, shoot
 from bayeq.numerics.settings import FORECAST

@@ -150,10 +150,10 @@ def score_records(
     smooth: Smooth,
     sensors: Sensors,
     *,
-    start: int | None,
-    rows: int | None,
     share: float,
     interpolation: Courses,
+    start: int | None = None,
+    rows: int | None = None,
 ) -> Scores:
     """Scores on rows of records; see `bayeq.Equations.score`. Without `start` these are the last ones, a share."""
     check_interpolation(interpolation)

@@ -21,10 +21,7 @@ APART = 8
 def block_for(columns: int, rows: int) -> Floats:
     """Room for some columns, a last one of ones, whose products are sums, and zeros up to a multiple of four.
 
-    Returns
-    -------
-    (C, R) array
-        For `add_products`; R is larger than `rows`.
+    (C, R), for `add_products`; R is larger than `rows`.
     """
     block = np.zeros((_padded(columns), rows + APART))
     block[columns] = 1.0
@@ -103,14 +100,7 @@ def shifted_products(D: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
 
     The shifts are the means of the first rows, so that hardly any digits are lost; a constant column is exactly zero.
 
-    Parameters
-    ----------
-    D, y : (n, P) array, (n, T) array
-        At least one row.
-
-    Returns
-    -------
-    shift, sums, products : (P + T,) array, (P + T,) array, (P + T, P + T) array
+    Of D (n, P) and y (n, T), at least one row: shifts (P + T,), sums (P + T,) and products (P + T, P + T).
     """
     n, p = D.shape
     columns = p + y.shape[1]

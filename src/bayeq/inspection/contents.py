@@ -14,7 +14,7 @@ from bayeq.inspection.channels import ChannelInfo, bars
 from bayeq.inspection.links import Link
 from bayeq.inspection.roles import INPUT, TITLES, Clue, Guess
 from bayeq.inspection.rows import Bad, Experiments, Gap
-from bayeq.markup import code, items, join, paragraph, table
+from bayeq.markup import code, items, join, paragraph, shortened, table
 from bayeq.records.names import gain_and_unit, rate_and_length
 
 HEADER = (
@@ -261,7 +261,7 @@ def _sections(found: RecordInfo) -> list[tuple[str, Sequence[str]]]:
     out: list[tuple[str, Sequence[str]]] = []
     if found.guess.reasons:
         roles = ((name, found.guess.role_of(name), found.guess.reasons.get(name)) for name in found.channels)
-        why = [f"{_cut(name, SIZES[0][1])}: {role} ({reason})" for name, role, reason in roles if role and reason]
+        why = [f"{shortened(name, SIZES[0][1])}: {role} ({reason})" for name, role, reason in roles if role and reason]
         out.append(("why", why))
     if found.findings:
         out.append(("noticed", found.findings))
@@ -278,14 +278,8 @@ def _row(found: RecordInfo, channel: ChannelInfo, plain: bool, digits: int, long
         spectrum = (bars(power, plain), f"{power.peak:.3g} {unit}", f"{power.bandwidth:.3g} {unit}")
     role = found.guess.role_of(channel.name) or ("constant" if channel.constant else "?")
     values = (f"{value:.{digits}g}" if math.isfinite(value) else "" for value in numbers)
-    names = (_cut(text, longest) for text in (channel.name, channel.unit))
+    names = (shortened(text, longest) for text in (channel.name, channel.unit))
     return (*names, role, *values, str(channel.missing or ""), *spectrum)
-
-
-def _cut(text: str, longest: int) -> str:
-    """The beginning and the end, by which names differ."""
-    half = longest // 2
-    return text if len(text) <= longest else f"{text[: longest - half - 1]}…{text[-half:]}"
 
 
 def _aligned(rows: Sequence[Sequence[str]], plain: bool, gap: str) -> list[str]:

@@ -18,7 +18,7 @@ from bayeq.arrays import Floats
 from bayeq.inspection.channels import ChannelInfo
 from bayeq.records import Record
 from bayeq.records.consistency import Frames, Relation, derivative_name, relate, uniform_frames
-from bayeq.records.names import derivative_ratio
+from bayeq.records.findings import stated_gain
 from bayeq.records.record import with_samples
 
 # Channels are compared on at most this many rows, the middle ones. A faster record is first averaged over blocks of
@@ -141,7 +141,7 @@ def find_links(record: Record, names: Sequence[str]) -> list[Link]:
         if rates[q] < NOT_SLOWER * rates[p]:
             continue
         for order in (1, 2):
-            expected = _stated(record, p, q, order)
+            expected = stated_gain(record, p, q, order)
             if expected is None and p in record.units and q in record.units:  # no units of a motion and this derivative
                 continue
             relation = relate(record.time, record[p], record[q], order, frames)
@@ -171,7 +171,7 @@ def absolute(
                 continue
             alone = [relate(record.time, record[p], record[one], 2, frames) for one in (q, base)]
             both = relate(record.time, record[p], record[q] - record[base], 2, frames)
-            expected = _stated(record, p, q, 2)
+            expected = stated_gain(record, p, q, 2)
             left = [1.0 - one.fit for one in alone if one is not None]
             if both is None or both.sign < 0 or abs(both.delay) > MOST_DELAY * frames.dt:
                 continue
@@ -184,12 +184,6 @@ def absolute(
 def _is_whole(values: Floats) -> bool:
     """Whether a channel moves, and has all its samples."""
     return bool(np.isfinite(values).all() and np.ptp(values) > 0.0)
-
-
-def _stated(record: Record, p: str, q: str, order: int) -> float | None:
-    """The gain between a channel and a derivative of another by their units, where they are known."""
-    units = record.units
-    return derivative_ratio(units[p], units[q], order) if p in units and q in units else None
 
 
 def _mean_frequency(values: Floats) -> float:

@@ -65,9 +65,7 @@ def leftover(
     scores = [D * r[:, None] for D, r in zip(columns, courses, strict=True)]
     total = sum(map(len, courses))
     length = max(
-        min(LIKELIHOOD.batch * _correlated(scores), total / LIKELIHOOD.enough_batches),
-        total / MOST_BATCHES,
-        LEAST_ROWS,
+        min(LIKELIHOOD.batch * _correlated(scores), total / LIKELIHOOD.enough_batches), total / MOST_BATCHES, LEAST_ROWS
     )
     pairs = [
         batched(D, d[:, None], w, max(1, int(len(d) / length)))

@@ -427,31 +427,12 @@ def fit_record(
 
     Of long records the model is first looked for in stretches.
 
-    Parameters
-    ----------
-    motion : Motion
-        With time, smoothed.
-    terms : sequence of Expression
-        The P candidates.
-    log_odds : (C, P + 1) array
-        Of each candidate, and of the constant, not being zero.
-    grams : sequence of Gram
-        Of the smoothed rows, one per equation.
-    tolerance : float, optional
-        See `bayeq.discover`.
-    stated : tuple of Stated
-        What is known of coefficients before.
-    conserved : mapping of int to float, optional
-        Factors of the states, by the number of the equation, of a sum that is conserved.
-    others : sequence of (Motion, sequence of Expression, sequence of Gram)
-        Other first paths of hidden states, terms with the constants of their laws: searches start from each, and the
-        likeliest fit is taken.
-
-    Returns
-    -------
-    RecordFit or None
-        None where the likelihood cannot be evaluated: terms that are not finite beside the path, or motion that no
-        model found stays near.
+    The motion has time, smoothed; `terms` are the P candidates, `log_odds` (C, P + 1) those of each of them, and of the
+    constant, not being zero; `grams` are of the smoothed rows, one per equation; `tolerance` is that of
+    `bayeq.discover`. `stated` is what is known of coefficients before, `conserved` the factors of the states, by the
+    number of the equation, of a sum that is conserved. `others` are other first paths of hidden states, terms with the
+    constants of their laws: searches start from each, and the likeliest fit is taken. None where the likelihood cannot
+    be evaluated: terms that are not finite beside the path, or motion that no model found stays near.
     """
     with np.errstate(all="ignore"), suppress(np.linalg.LinAlgError):
         some, places = _stretches(motion)

@@ -27,16 +27,7 @@ from bayeq.inference.collapsed.search import best_models, neighbours, scores_of
 from bayeq.inference.gram import Gram
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.adjoint import Adjoint
-from bayeq.likelihood.fit import (
-    Quadratic,
-    State,
-    adjoints,
-    candidates,
-    coefficients,
-    corrections,
-    information,
-    solved,
-)
+from bayeq.likelihood.fit import Quadratic, State, adjoints, candidates, coefficients, corrections, information, solved
 from bayeq.likelihood.layout import Candidates, Layout
 from bayeq.likelihood.model import Fitted, Task, calmed, fit, over_all_sizes, with_model
 from bayeq.likelihood.search import MOST_TO_MOVE

@@ -38,16 +38,7 @@ from bayeq.dictionary.ranges import (
 from bayeq.expressions import Binary, Expression, Node, Unknown, number
 from bayeq.inference.collapsed.search import best_models, scores_of
 from bayeq.inference.collapsed.slab import exact_posterior
-from bayeq.likelihood.fit import (
-    Quadratic,
-    State,
-    adjoints,
-    corrections,
-    improved,
-    information,
-    maximised,
-    solved,
-)
+from bayeq.likelihood.fit import Quadratic, State, adjoints, corrections, improved, information, maximised, solved
 from bayeq.likelihood.layout import Candidates, Layout
 from bayeq.likelihood.model import COARSE, MOST_HALVED, Fitted, Task, calmed, finished, fit, over_all_sizes
 from bayeq.likelihood.search import settle

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from bayeq.arrays import Floats
 from bayeq.numerics.settings import LIKELIHOOD
@@ -27,13 +27,8 @@ class Shape(NamedTuple):
 def shape_of(e: NDArray[np.float64], third: float = 1.0, fourth: float = 1.0) -> Shape:
     """The shape of numbers of mean 0, beside that of a normal distribution.
 
-    Parameters
-    ----------
-    e : (n,) array
-        Not all 0.
-    third, fourth : float
-        Sums of the third and fourth powers of their autocorrelations over all lags (Lobato and Velasco 2004); 1 of
-        independent ones (Jarque and Bera 1980).
+    The numbers (n,) are not all 0. `third` and `fourth` are sums of the third and fourth powers of their
+    autocorrelations over all lags (Lobato and Velasco 2004); 1 of independent ones (Jarque and Bera 1980).
     """
     second = float(np.mean(e**2))
     skewness = float(np.mean(e**3)) / second**1.5
@@ -42,20 +37,17 @@ def shape_of(e: NDArray[np.float64], third: float = 1.0, fourth: float = 1.0) ->
     return Shape(skewness, kurtosis, math.exp(-0.5 * statistic))
 
 
-def t95(freedom: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Half-width of a 95 % interval of Student's t, by the expansion about the normal (Abramowitz and Stegun 26.7.5).
+def t_quantile(freedom: ArrayLike, z: float = Z95) -> NDArray[np.float64]:
+    """Quantile of Student's t where the normal has its own at z, by Abramowitz and Stegun 26.7.5.
 
-    Parameters
-    ----------
-    freedom : array
-        Degrees of freedom, 3 or more (within 1 %); infinite of the normal.
+    By default half the width of a 95 % interval. Degrees of freedom are 3 or more (within 1 %), infinite of the normal.
 
     Examples
     --------
-    >>> t95(np.array([3.0, 15.0, np.inf])).round(2)
+    >>> t_quantile(np.array([3.0, 15.0, np.inf])).round(2)
     array([3.16, 2.13, 1.96])
     """
-    z, share = Z95, 1.0 / np.asarray(freedom)
+    share = 1.0 / np.asarray(freedom)
     first, second = (z**3 + z) / 4.0, (5.0 * z**5 + 16.0 * z**3 + 3.0 * z) / 96.0
     third = (3.0 * z**7 + 19.0 * z**5 + 17.0 * z**3 - 15.0 * z) / 384.0
     return np.asarray(z + share * (first + share * (second + share * third)))

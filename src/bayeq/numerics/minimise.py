@@ -34,30 +34,14 @@ DIFFERENCE = np.finfo(np.float64).eps ** (1.0 / 3.0)
 
 
 class Minimum(NamedTuple):
-    """Where `minimise` ended.
+    """Where `minimise` ended."""
 
-    Attributes
-    ----------
-    x : (n,) array
-        The parameters.
-    value : float
-        There.
-    gradient : (n,) array
-        There.
-    converged : bool
-        Whether the search ended because of one of its tolerances.
-    evaluations : int
-        Points at which the function was computed, those of differences left out.
-    hessian : (n, n) array or None
-        What is known of it from the steps; None where that is nothing, and none was given.
-    """
-
-    x: Floats
-    value: float
-    gradient: Floats
-    converged: bool
-    evaluations: int
-    hessian: Floats | None
+    x: Floats  # (n,), the parameters
+    value: float  # there
+    gradient: Floats  # (n,), there
+    converged: bool  # whether the search ended because of one of its tolerances
+    evaluations: int  # points at which the function was computed, those of differences left out
+    hessian: Floats | None  # (n, n), what is known of it from the steps; None where that is nothing, and none was given
 
 
 def minimise(

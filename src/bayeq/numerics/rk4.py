@@ -105,13 +105,7 @@ def _thirds(samples: Floats) -> Floats:
 
 @kernel(borrowing=True)
 def slope_at(
-    program: Program,
-    inputs: Floats,
-    x: Floats,
-    row: int,
-    fraction: float,
-    tangents: Floats | None,
-    slope: Floats,
+    program: Program, inputs: Floats, x: Floats, row: int, fraction: float, tangents: Floats | None, slope: Floats
 ) -> None:
     """Right-hand side at `x`, at a fraction (0 to 1) of the interval after the sample `row`, into `slope`.
 
@@ -140,13 +134,7 @@ def slope_at(
 
 @kernel
 def advance(
-    program: Program,
-    inputs: Floats,
-    row: int,
-    interval: float,
-    substeps: int,
-    tangents: Floats | None,
-    work: Floats,
+    program: Program, inputs: Floats, row: int, interval: float, substeps: int, tangents: Floats | None, work: Floats
 ) -> None:
     """From the sample `row` to the next, by classical Runge-Kutta steps: the state ``work[0]`` is moved on.
 
@@ -186,12 +174,7 @@ def steps_in(interval: float, step: float) -> int:
 
 @kernel
 def free_runs(
-    program: Program,
-    drive: Drive,
-    parameters: Floats,
-    current: Floats,
-    stopped: IndexArray,
-    out: Floats,
+    program: Program, drive: Drive, parameters: Floats, current: Floats, stopped: IndexArray, out: Floats
 ) -> None:
     """Integrate ``dx/dt = f(x, u; theta)`` from several states, each with parameters of its own.
 

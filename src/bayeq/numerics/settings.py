@@ -39,12 +39,7 @@ def setting(default: T, about: str, rests_on: str = "choice", unit: str = "", cl
 def overridden(settings: Any, **fields: Any) -> Iterator[None]:
     """Other values for a while, in studies and tests.
 
-    Parameters
-    ----------
-    settings : object
-        The instance that a stage reads.
-    **fields
-        New values, by the names of the fields.
+    The settings are the instance that a stage reads; values go by the names of its fields.
 
     Examples
     --------

@@ -45,17 +45,7 @@ def spline_slopes(time: Floats, samples: Floats) -> Floats:
     Its third derivative is continuous at the second and the last but one sample ("not a knot"). Three samples have a
     parabola, two a straight line.
 
-    Parameters
-    ----------
-    time : (n,) array
-        Increasing, n > 1.
-    samples : (n, m) array
-        Of m channels.
-
-    Returns
-    -------
-    (n, m) array
-        First derivatives at the samples.
+    First derivatives (n, m) at the samples (n, m) of m channels; time (n,) increases, n > 1.
 
     References
     ----------

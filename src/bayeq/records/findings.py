@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.arrays import Bools, Floats
+from bayeq.numerics.distributions import t_quantile
 from bayeq.numerics.settings import RECORDS
 from bayeq.records.consistency import Frames, Relation, derivative_name, relate, shift_of, uniform_frames
 from bayeq.records.names import derivative_ratio
@@ -234,7 +235,7 @@ def _kinematics(record: Record, chain: Sequence[str | None]) -> list[Finding]:
 
 def _exchanged(record: Record, p: str, q: str, order: int, link: Relation, frames: Frames) -> list[Finding]:
     """Whether p is the derivative of q, in the units of the other each, where q is not that of p."""
-    stated = _stated_gain(record, p, q, order)
+    stated = stated_gain(record, p, q, order) or 1.0
     as_said = link.fit >= RECORDS.least_fit and abs(math.log(link.gain / stated)) < EXCHANGED
     if record.time is None or as_said or counts_rows(record):
         return []
@@ -297,7 +298,7 @@ def _signs(measured: Sequence[tuple[int, str]], links: Sequence[Relation]) -> li
 
 def _gains(record: Record, measured: Sequence[tuple[int, str]], links: Sequence[Relation]) -> list[Finding]:
     # what the units say: x in mm makes v in m/s a thousandth of dx/dt
-    stated = [_stated_gain(record, p, q, high - low) for (low, p), (high, q) in pairwise(measured)]
+    stated = [stated_gain(record, p, q, high - low) or 1.0 for (low, p), (high, q) in pairwise(measured)]
     if counts_rows(record):
         (low, p), (high, q) = measured[:2]
         rate = (links[0].gain / stated[0]) ** (1.0 / (high - low))
@@ -330,10 +331,10 @@ def _undecided(link: Relation) -> float:
     return RECORDS.significant * link.gain_error + 0.5 * math.log(link.most_gain / link.least_gain)
 
 
-def _stated_gain(record: Record, p: str, q: str, order: int) -> float:
-    if p not in record.units or q not in record.units:
-        return 1.0
-    return derivative_ratio(record.units[p], record.units[q], order) or 1.0
+def stated_gain(record: Record, p: str, q: str, order: int) -> float | None:
+    """The gain between a channel and a derivative of another by their units, where they are known."""
+    units = record.units
+    return derivative_ratio(units[p], units[q], order) if p in units and q in units else None
 
 
 def _unit_hint(gain: float) -> str:
@@ -363,7 +364,7 @@ def _shifts(record: Record, p: str, q: str, order: int, link: Relation, frames: 
     would be an offset.
     """
     assert record.time is not None
-    stated = _stated_gain(record, p, q, order)
+    stated = stated_gain(record, p, q, order) or 1.0
     if abs(math.log(link.gain / stated)) <= max(math.log(RECORDS.least_gain), _undecided(link)):
         gain, gain_error = stated, 0.0
     else:
@@ -372,7 +373,7 @@ def _shifts(record: Record, p: str, q: str, order: int, link: Relation, frames: 
     spread, span = float(np.std(record[q])), float(record.time[-1] - record.time[0])
     unit = f" {record.units[q]}" if q in record.units else ""
     what = derivative_name(p, order)
-    significant = _student(RECORDS.significant, shift.freedom)
+    significant = t_quantile(shift.freedom, RECORDS.significant)
     found = []
     if abs(shift.offset_t) > significant and abs(shift.offset) > RECORDS.least_offset * spread:
         size = 100.0 * abs(shift.offset) / spread
@@ -387,14 +388,6 @@ def _shifts(record: Record, p: str, q: str, order: int, link: Relation, frames: 
         )
         found.append(Finding("drift", (q, p), message, shift.drift))
     return found
-
-
-def _student(z: float, freedom: int) -> float:
-    """Quantile of Student's t where the normal distribution has its own at z (Fisher and Cornish 1960)."""
-    first = (z**3 + z) / (4.0 * freedom)
-    second = (5.0 * z**5 + 16.0 * z**3 + 3.0 * z) / (96.0 * freedom**2)
-    third = (3.0 * z**7 + 19.0 * z**5 + 17.0 * z**3 - 15.0 * z) / (384.0 * freedom**3)
-    return z + first + second + third
 
 
 def _moved_off(record: Record, name: str) -> list[Finding]:

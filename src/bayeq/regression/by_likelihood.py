@@ -159,8 +159,7 @@ class RecordRegression(Regression):
         every = np.full(len(kept), np.inf)
         every[kept] = np.maximum(freedom[:r], LEAST_FREEDOM)
         found = replace(
-            found,
-            projected=Projected(own, sd, every, moved.share, moved.share * math.sqrt(left.target), left.lines),
+            found, projected=Projected(own, sd, every, moved.share, moved.share * math.sqrt(left.target), left.lines)
         )
         return _with_constant(found, theta + change, both)
 
@@ -192,18 +191,11 @@ REPEATED = 0.1
 def calibrated(regression: Regression, posterior: Posterior, basis: Floats) -> Posterior:
     """The posterior with the uncertainty of the sensors' calibration in its covariances.
 
-    With another factor of a channel the coefficients that explain the
-    same motion are others: to first order their change is the regression, on the terms, of what the factor changes of
-    the target and of the terms.
+    With another factor of a channel the coefficients that explain the same motion are others: to first order their
+    change is the regression, on the terms, of what the factor changes of the target and of the terms.
 
-    Parameters
-    ----------
-    regression : Regression
-        Its training rows are the motion.
-    posterior : Posterior
-        In original units, r terms in its support.
-    basis : (r, f) array
-        How the coefficients move with those that are free; the identity where all are.
+    The training rows are the motion; the posterior is in original units, r terms in its support; `basis` (r, f) is how
+    the coefficients move with those that are free, the identity where all are.
     """
     names, known = regression.factors
     kept = np.flatnonzero(posterior.support)
@@ -277,12 +269,7 @@ def changes_by_noise(
     """What noise of an input, as shares of its standard deviation, would have done to coefficients that neglect it.
 
     Noise adds to the sums of squares of the terms that the input is in. Without that share of them the coefficients
-    would be others.
-
-    Returns
-    -------
-    dict of str to tuple of float
-        Of each term of the posterior with the input: the relative error of its coefficient at each share.
+    would be others. By each term of the posterior with the input: the relative error of its coefficient at each share.
     """
     spread = float(np.std(np.concatenate([rows.columns[name] for rows in regression.motion.train])))
 

@@ -101,10 +101,7 @@ class Design:
 
 
 def build_design(
-    terms: Sequence[Expression],
-    motion: Motion,
-    progress: Progress | None = None,
-    allowed: Bools | None = None,
+    terms: Sequence[Expression], motion: Motion, progress: Progress | None = None, allowed: Bools | None = None
 ) -> Design:
     """Evaluate terms on motion and add up their Gram matrices.
 

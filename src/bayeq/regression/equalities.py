@@ -218,10 +218,7 @@ class Equalities:
     def _draws(self, draws: Draws) -> Draws:
         z = self._any(draws.z)
         return replace(
-            draws,
-            z=z,
-            theta=self._values(draws.theta),
-            pip=self._full(draws.pip, z[..., self.eliminated].mean(axis=1)),
+            draws, z=z, theta=self._values(draws.theta), pip=self._full(draws.pip, z[..., self.eliminated].mean(axis=1))
         )
 
     def _average(self, average: ModelAverage) -> ModelAverage:

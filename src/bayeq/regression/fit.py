@@ -22,7 +22,7 @@ from bayeq.inference.gram import Gram, Standardised
 from bayeq.inference.posterior import Mixture, Posterior
 from bayeq.inference.prior import Prior, limited
 from bayeq.likelihood.spike import softened_rows
-from bayeq.numerics.distributions import Z95, t95
+from bayeq.numerics.distributions import Z95, t_quantile
 from bayeq.numerics.settings import REGRESSION
 from bayeq.regression.by_likelihood import calibrated
 from bayeq.regression.constraints import Constraints
@@ -120,23 +120,11 @@ def fit_regression(
 ) -> RegressionFit:
     """Posterior of one equation.
 
-    Parameters
-    ----------
-    regression : Regression
-        What counts as data.
-    constraints : Constraints
-        Equalities are taken out before inference; signs and bounds go into the prior.
-    engine : Engine
-        A row of `bayeq.inference.engines.ENGINES`.
-    prior : Prior, optional
-        On standardised columns, the target in units of the least-squares residual. By default p_0 = 0.1 and a slab
-        variance v_s that maximises the evidence, at least 10.
-    coarsen : float
-        Power, above 0 and at most 1, that the likelihood is raised to.
-    tolerance : float, optional
-        Size of what the terms may lack beside the likelihood of rows (`bayeq.likelihood.spike`).
-    seed : tuple of int
-        Of engines that draw random numbers.
+    Equalities are taken out before inference; signs and bounds go into the prior, which is on standardised columns, the
+    target in units of the least-squares residual: by default p_0 = 0.1 and a slab variance v_s that maximises the
+    evidence, at least 10. The likelihood is raised to the power `coarsen`, above 0 and at most 1; `tolerance` is the
+    size of what the terms may lack beside the likelihood of rows (`bayeq.likelihood.spike`); engines that draw random
+    numbers have the seed.
     """
     regression = regression.raised(coarsen)
     reduced = constraints.reduce(regression.gram)
@@ -157,20 +145,10 @@ MOST_MODELS = 300
 def mixture_of(fit: RegressionFit, reported: Posterior, struck: Bools | None = None) -> Mixture | None:
     """The P coefficients over models, in original units, and after them the intercept, which is in all models.
 
-    Parameters
-    ----------
-    fit : RegressionFit
-        With the models that were averaged over, or draws.
-    reported : Posterior
-        Of one model, as it is reported: by the likelihood of the record by projection. Its terms differ in other models
-        by the same factor and change.
-    struck : (F,) bool array, optional
-        Terms that are taken out of every model, the others estimated again.
-
-    Returns
-    -------
-    Mixture or None
-        None where no models are averaged, or none are listed that terms could be taken out of.
+    The fit has the models that were averaged over, or draws. What is reported is of one model, by the likelihood of the
+    record by projection: its terms differ in other models by the same factor and change. Terms that are `struck` (F,)
+    are taken out of every model, the others estimated again. None where no models are averaged, or none are listed that
+    terms could be taken out of.
     """
     posterior, average, draws = fit.posterior, fit.posterior.average, fit.posterior.draws
     again = struck is not None and bool(struck.any())
@@ -234,7 +212,7 @@ def _moved(fit: RegressionFit, reported: Posterior) -> tuple[Floats, Floats]:
     if reported.projected is not None and reported.support.any():
         exact = fit.expanded(fit.conditional(reported.support[fit.constraints.equalities.kept]))
         known = exact.sd > 0.0
-        factor[known] = t95(reported.projected.freedom[known]) / Z95 * reported.sd[known] / exact.sd[known]
+        factor[known] = t_quantile(reported.projected.freedom[known]) / Z95 * reported.sd[known] / exact.sd[known]
         change[known] = (reported.coef - exact.coef)[known]
     return factor, change
 

@@ -123,12 +123,7 @@ class Residuals:
 def inspect_residuals(pieces: Sequence[Floats], channels: Mapping[str, Sequence[Floats]] | None = None) -> Residuals:
     """Correlation and shape of residuals that come in one or more uninterrupted pieces.
 
-    Parameters
-    ----------
-    pieces : sequence of (n,) arrays
-        Residuals.
-    channels : mapping of str to sequence of (n,) arrays, optional
-        Inputs and states in the same pieces, which the residuals should not follow.
+    Pieces are (n,) each; the channels are inputs and states in the same pieces, which the residuals should not follow.
 
     Examples
     --------

@@ -155,13 +155,7 @@ def _stlsq(name: str, noise: float, seed: int, weak: bool) -> Outcome:
     scores = [_aicc(rates - columns @ coef.T, int(np.count_nonzero(coef))) for coef in coefficients]
     rule, oracle = int(np.argmin(scores)), int(np.argmin(errors))
     exact = [bool(np.array_equal(coef != 0.0, true != 0.0)) for coef in coefficients]
-    return {
-        "cpu": cpu,
-        "E": errors[rule],
-        "exact": exact[rule],
-        "E_oracle": errors[oracle],
-        "any_exact": any(exact),
-    }
+    return {"cpu": cpu, "E": errors[rule], "exact": exact[rule], "E_oracle": errors[oracle], "any_exact": any(exact)}
 
 
 def _samples(record: Record, states: Sequence[str]) -> Any:

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+import textwrap
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bayeq.arrays import Floats
+from bayeq.arrays import Bools, Floats
 from bayeq.equation.written import quotient_unit
 from bayeq.expressions import parse
-from bayeq.figures.paper import Inclusion, JointPosterior, draw_inclusion, draw_joint
-from bayeq.figures.style import mathtext, require_matplotlib, save, style
+from bayeq.figures import style
+from bayeq.figures.style import mathtext, require_matplotlib, save
 from bayeq.inference.gibbs import spike_slab_gibbs
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.vb import spike_slab_vb
@@ -23,6 +25,10 @@ from bayeq.records.names import multiply_units, parse_unit
 from bayeq.study.config import STUDY_SYSTEMS, StudyConfig, choose
 from bayeq.study.runner import ALGORITHM_STREAM, draw, posed
 from bayeq.systems import System, get_system
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 # Values from here on are given in powers of ten on the axis.
 LARGE = 1e4
@@ -42,6 +48,13 @@ FIG_5_NOTE = (
 # Points on the outline of an ellipse.
 OUTLINE = 200
 
+# Height of the triangle of a system [mm].
+BLOCK = 90.0
+
+# How VB's mean and the truth are marked.
+MEAN: dict[str, Any] = {"color": style.BLACK, "markersize": 5, "markeredgewidth": 1.1}
+TRUTH: dict[str, Any] = {"color": style.RED, "markerfacecolor": "none", "markersize": 6, "markeredgewidth": 1.3}
+
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
@@ -52,6 +65,23 @@ class Comparison:
     # by `spike_slab_gibbs`, with draws, and by `spike_slab_vb`
     mcmc: Posterior
     vb: Posterior
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointPosterior:
+    """The joint posterior of p coefficients, of n draws, to be drawn pair by pair."""
+
+    title: str  # the system
+    labels: tuple[str, ...]  # p, of the axes, as matplotlib sets them
+    names: tuple[str, ...]  # p, the terms, short
+    samples: Floats  # (n, p), draws of the coefficients by MCMC
+    included: Bools  # (n, p), which of them are in the draw's model; a pair's cloud is the draws that have both
+    same_model: Bools  # (n,), whether a draw's model is the one that VB selects
+    truth: Floats  # (p,)
+    vb_mean: Floats  # (p,)
+    vb_included: Bools  # (p,), the coefficients that VB selects
+    ellipses: Mapping[tuple[int, int], Floats]  # (2, k), VB's confidence region of coefficients i < j that it selects
+    limits: Floats  # (p, 2), ends of the axes
 
 
 def compare(name: str, config: StudyConfig) -> Comparison:
@@ -86,18 +116,6 @@ def confidence_ellipse(mean: ArrayLike, covariance: ArrayLike, level: float = 0.
     angle = np.linspace(0.0, 2.0 * np.pi, OUTLINE)
     circle = np.stack([np.cos(angle), np.sin(angle)])
     return np.asarray(mean, dtype=np.float64)[:, None] + radius * np.linalg.cholesky(np.asarray(covariance)) @ circle
-
-
-def inclusion(comparison: Comparison) -> Inclusion:
-    """The panel of Fig. 4: Rao-Blackwellised probabilities of MCMC beside VB's w."""
-    states = comparison.system.states
-    return Inclusion(
-        title=comparison.system.title,
-        terms=tuple(mathtext(name, order=states) for name in comparison.vb.names),
-        true=comparison.truth != 0.0,
-        mcmc=comparison.mcmc.pip,
-        vb=comparison.vb.pip,
-    )
 
 
 def joint_posterior(comparison: Comparison) -> JointPosterior:
@@ -169,6 +187,129 @@ def _unit(system: System, target: str, term: str) -> str:
     return " ".join(name if power == 1 else f"{name}$^{{{power}}}$" for name, power in sorted(powers.items()))
 
 
+def draw_inclusion(panels: Sequence[Comparison]) -> Figure:
+    """Rao-Blackwellised probabilities of all terms by MCMC beside VB's w, a panel per system (Fig. 4).
+
+    Panels stand from left to right; the figure is as wide as a journal's page.
+    """
+    terms = [mathtext(name, order=panels[-1].system.states) for name in panels[-1].vb.names]
+    figure, axes = style.new_panels(1, len(panels), height=26.0 + 3.7 * len(terms), sharey=True)
+    for k, (ax, panel) in enumerate(zip(axes[0], panels, strict=True)):
+        explained = _bars(ax, panel)
+        ax.set_title(textwrap.fill(f"({chr(97 + k)}) {panel.system.title}", 24))
+    axes[0, 0].set_yticks(np.arange(len(terms)), terms)
+    axes[0, 0].set_ylim(len(terms) - 0.4, -0.6)
+    axes[0, 0].set_ylabel(FIG_4_TERMS)
+    figure.legend(handles=explained, loc="outside upper right", ncols=4)
+    return figure
+
+
+def _bars(ax: Axes, panel: Comparison) -> list[Any]:
+    """A panel of inclusion probabilities; returns what the legend explains."""
+    at = np.arange(len(panel.truth))
+    look: dict[str, Any] = {"edgecolor": style.BLACK, "linewidth": 0.4}
+    true = [ax.axhspan(j - 0.5, j + 0.5, color=style.PALE, linewidth=0, zorder=0) for j in np.flatnonzero(panel.truth)]
+    mcmc = ax.barh(at - 0.19, panel.mcmc.pip, 0.38, color=style.BLUE, label="SS-MCMC", **look)
+    vb = ax.barh(at + 0.19, panel.vb.pip, 0.38, color=style.ORANGE, hatch="/////", label="SS-VB", **look)
+    half = ax.axvline(0.5, color=style.RED, linestyle=style.DASHED, linewidth=0.8, label="PIP = 0.5", zorder=3)
+    ax.set_xlim(0.0, 1.05)
+    ax.set_xticks([0.0, 0.5, 1.0])
+    ax.set_xlabel("PIP")
+    if true:
+        true[0].set_label("true term")
+    return [mcmc, vb, half, *true[:1]]
+
+
+def draw_joint(systems: Sequence[JointPosterior]) -> Figure:
+    """Pairwise joint posteriors: cloud of MCMC, mean and ellipse of VB, truth; a triangle per system (Fig. 5).
+
+    Systems stand row by row, two in a row. The figure is as wide as a journal's page, or as a column of it for one.
+    """
+    from matplotlib.lines import Line2D
+
+    across = min(len(systems), 2)
+    rows = -(-len(systems) // across)
+    spare = across == 2 and len(systems) % 2 == 1  # a place for the legend
+    below = 0.0 if spare else 27.0 if across == 2 else 34.0
+    width = style.FULL_WIDTH if across == 2 else style.SINGLE_COLUMN
+    figure = style.new_figure(width, rows * BLOCK + below, layout="constrained")
+    blocks = figure.subfigures(rows, across, squeeze=False).flat
+    for k, (block, system) in enumerate(zip(blocks, systems, strict=False)):
+        _triangle(block, system, f"({chr(97 + k)}) {system.title}")
+    where: dict[str, Any] = {"loc": "outside lower center", "ncols": across, "labelspacing": 0.5}
+    if spare:
+        where = {"loc": "center left", "bbox_to_anchor": (0.5 + 10.0 / width, 0.5 / rows), "labelspacing": 0.9}
+    samples = {"linestyle": "none", "color": style.BLUE, "marker": "o", "markersize": 3.0}
+    looks: dict[str, dict[str, Any]] = {
+        "SS-MCMC samples, the model that SS-VB selects": samples,
+        "SS-MCMC samples, other models": samples | {"color": style.ORANGE, "marker": "^", "markersize": 4.0},
+        "SS-VB mean": {"linestyle": "none", "marker": "x", **MEAN},
+        "SS-VB 95 % confidence ellipse": {"color": style.BLACK, "linewidth": 1.0},
+        "true values": {"linestyle": "none", "marker": "o", **TRUTH},
+    }
+    handles = [Line2D([], [], label=label, **look) for label, look in looks.items()]
+    legend = figure.legend(handles=handles, columnspacing=1.5, title=FIG_5_NOTE, **where)
+    legend.set_alignment("left")
+    return figure
+
+
+def _triangle(block: Any, system: JointPosterior, title: str) -> None:
+    """The pairs of one system: coefficient i across, j > i up, with shared axes."""
+    side = len(system.labels) - 1
+    axes = block.subplots(side, side, squeeze=False, sharex="col", sharey="row")
+    for j, i in np.ndindex(side, side):
+        ax = axes[j, i]
+        if i > j:
+            ax.remove()
+            continue
+        _pair(ax, system, i, j + 1)
+        if j == side - 1:
+            ax.set_xlabel(system.labels[i], linespacing=1.3)
+        if i == 0:
+            ax.set_ylabel(system.labels[j + 1], linespacing=1.3)
+    block.align_ylabels(axes[:, 0])
+    axes[0, 0].set_title(title).set_in_layout(False)  # it may be longer than its panel is wide
+
+
+def _pair(ax: Axes, system: JointPosterior, i: int, j: int) -> None:
+    """One pair of coefficients."""
+    from matplotlib.patheffects import withStroke
+
+    cloud = system.included[:, i] & system.included[:, j]
+    for chosen, marker, colour, size, alpha in (
+        (cloud & ~system.same_model, "^", style.ORANGE, 2.0, 0.4),
+        (cloud & system.same_model, "o", style.BLUE, 1.2, 0.08),
+    ):
+        x, y = system.samples[chosen, i], system.samples[chosen, j]
+        ax.plot(x, y, marker, color=colour, markersize=size, markeredgewidth=0, alpha=alpha, rasterized=True)
+    # light rims, so that the marks stand out from a dark cloud in grey too
+    rim = [withStroke(linewidth=2.4, foreground="white")]
+    ax.plot(system.truth[i], system.truth[j], "o", path_effects=rim, zorder=3, **TRUTH)
+    if (i, j) in system.ellipses:
+        ax.plot(*system.ellipses[i, j], color=style.BLACK, linewidth=1.0, path_effects=rim)
+        ax.plot(system.vb_mean[i], system.vb_mean[j], "x", path_effects=rim, zorder=4, **MEAN)
+    else:
+        absent = ", ".join(system.names[a] for a in (i, j) if not system.vb_included[a])
+        place: dict[str, Any] = {"ha": "center", "va": "top", "transform": ax.transAxes}
+        ax.text(0.5, 0.96, f"not in SS-VB: {absent}", fontsize=7, path_effects=rim, **place)
+    ax.set_xlim(*system.limits[i])
+    ax.set_ylim(*system.limits[j])
+    ax.set_xticks(_ticks(system.limits[i], 2, 0.15))
+    ax.set_yticks(_ticks(system.limits[j], 4, 0.07))
+    ax.ticklabel_format(useOffset=False, style="plain")
+    ax.tick_params(labelsize=6.0)
+
+
+def _ticks(limits: Floats, intervals: int, margin: float) -> Floats:
+    """Round values away from the ends of an axis, so that the numbers of neighbouring panels do not meet."""
+    from matplotlib.ticker import MaxNLocator
+
+    room = margin * (limits[1] - limits[0])
+    low, high = float(limits[0] + room), float(limits[1] - room)
+    ticks = np.asarray(MaxNLocator(intervals).tick_values(low, high))
+    return ticks[(ticks >= low) & (ticks <= high)]
+
+
 def write_figures(folder: Path, *, seed: int = 0, systems: Iterable[str] = STUDY_SYSTEMS) -> list[Path]:
     """Compute and draw the paper's Figs. 4 and 5: one realisation per system by the protocol of section 4.
 
@@ -186,10 +327,10 @@ def write_figures(folder: Path, *, seed: int = 0, systems: Iterable[str] = STUDY
     config.validate()
     results = {name: compare(name, config) for name in names}
     nonlinear = [found for name, found in results.items() if name != "linear"]
-    with style():
-        figure = draw_inclusion([inclusion(found) for found in results.values()], FIG_4_TERMS)
+    with style.style():
+        figure = draw_inclusion(list(results.values()))
         paths = save(figure, Path(folder) / "fig4_inclusion")
         if nonlinear:
-            figure = draw_joint([joint_posterior(found) for found in nonlinear], FIG_5_NOTE)
+            figure = draw_joint([joint_posterior(found) for found in nonlinear])
             paths += save(figure, Path(folder) / "fig5_joint")
     return paths

@@ -113,18 +113,12 @@ def _auto(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Post
     return fit.expanded(selection.shown)
 
 
-def _bma(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Posterior:
-    """Model averaging with exact weights; selected is the median probability model."""
-    standard, prior = posed(data.train, config)
-    return spike_slab_bma(standard.gram, prior).rescaled(standard)
-
-
-def _vb(
-    init: Literal["search", "greedy", "rvm"], data: Realisation, config: StudyConfig, seed: tuple[int, ...]
+def _spike_slab(
+    engine: Callable[..., Posterior], data: Realisation, config: StudyConfig, seed: tuple[int, ...]
 ) -> Posterior:
-    """SS-VB, from one start or several."""
+    """An engine that draws no random numbers, in units of standardised columns."""
     standard, prior = posed(data.train, config)
-    return spike_slab_vb(standard.gram, prior, init=init).rescaled(standard)
+    return engine(standard.gram, prior).rescaled(standard)
 
 
 ALGORITHMS: dict[str, Algorithm] = {
@@ -133,10 +127,11 @@ ALGORITHMS: dict[str, Algorithm] = {
     "rvm": _rvm,
     "gibbs": _gibbs,
     "auto": _auto,
-    "bma": _bma,
-    "vb": partial(_vb, "search"),
-    "vb-rvm": partial(_vb, "rvm"),  # as the paper's section 3.2 says
-    "vb-greedy": partial(_vb, "greedy"),  # a search that adds and drops terms but never swaps them
+    "bma": partial(_spike_slab, spike_slab_bma),  # exact weights; selected is the median probability model
+    "vb": partial(_spike_slab, spike_slab_vb),
+    "vb-rvm": partial(_spike_slab, partial(spike_slab_vb, init="rvm")),  # as the paper's section 3.2 says
+    # a search that adds and drops terms but never swaps them
+    "vb-greedy": partial(_spike_slab, partial(spike_slab_vb, init="greedy")),
 }
 
 

@@ -89,11 +89,7 @@ KNOWN = (
             "s": f"({_SECOND}+l1/l2*cos(p-q)*({_FIRST}))/{_OF_RODS}",
         },
         terms={
-            "d": {
-                "sin(p)": "-g/l1",
-                "s**2*sin(p-q)": "-m2*l2/((m1+m2)*l1)",
-                "b*cos(p-q)": "-m2*l2/((m1+m2)*l1)",
-            },
+            "d": {"sin(p)": "-g/l1", "s**2*sin(p-q)": "-m2*l2/((m1+m2)*l1)", "b*cos(p-q)": "-m2*l2/((m1+m2)*l1)"},
             "b": {"sin(q)": "-g/l2", "r**2*sin(p-q)": "l1/l2", "d*cos(p-q)": "-l1/l2"},
         },
         parameters={"m1": 1.0, "m2": 0.8, "l1": 0.5, "l2": 0.4, "g": 9.81},

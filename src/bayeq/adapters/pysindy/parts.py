@@ -180,7 +180,8 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
         inclusion = self._inclusion(Z)
         posteriors = []
         for k, gram in sorted(grams.items()):
-            found = self._posterior(_in_original_units(gram, size, target_size[k]), inclusion, size, target_size[k])
+            original = gram.in_units(1.0 / size, 1.0 / target_size[k]).gram
+            found = self._posterior(original, inclusion, size, target_size[k])
             # not that of the bins, but of the rows
             left = float(weights @ (y[:, k] - x @ found.coef) ** 2)
             noise = left / max(float(weights.sum()) - found.support.sum(), 1.0)
@@ -267,16 +268,6 @@ def _sizes(values: Floats) -> Floats:
     most[most == 0] = 1.0
     found = np.sqrt(np.mean((values / most) ** 2, axis=0))
     return np.asarray(most * np.where(found > 0.0, found, 1.0))
-
-
-def _in_original_units(gram: Gram, size: Floats, target_size: float) -> Gram:
-    """The statistics of columns and target as they were."""
-    return replace(
-        gram,
-        DtD=gram.DtD * np.outer(size, size),
-        Dty=gram.Dty * size * target_size,
-        yty=gram.yty * target_size**2,
-    )
 
 
 class KinematicDerivative(BaseDifferentiation):  # type: ignore[misc]

@@ -169,12 +169,7 @@ class Threads:
 
 
 def fold(
-    work: Work[Of],
-    units: Sequence[Unit],
-    executor: Executor,
-    progress: Progress,
-    stage: str,
-    kept: Any = None,
+    work: Work[Of], units: Sequence[Unit], executor: Executor, progress: Progress, stage: str, kept: Any = None
 ) -> Of:
     """The sum over units, of at least one, of what `work` computes.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,20 +21,13 @@ from bayeq.equation.plan.information import (
 )
 from bayeq.equation.plan.result import Compared, Outcome, Plan, Separation
 from bayeq.errors import InputError, whole_number
-from bayeq.figures.style import EquationLike
 from bayeq.forecast.dynamics import Dynamics, Law
 from bayeq.inference.posterior import Posterior
 from bayeq.numerics.settings import PLAN
 from bayeq.resumable import Progress
 
-
-class Found(EquationLike, Protocol):
-    """What a plan needs of an equation; see `bayeq.Equation`."""
-
-    @property
-    def models(self) -> tuple[CandidateModel, ...]: ...
-    @property
-    def unit_gains(self) -> tuple[float, ...]: ...
+if TYPE_CHECKING:
+    from bayeq.equation.equation import Equation
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +42,7 @@ class Rival:
 
 
 def plan_excitation(
-    equations: Sequence[Found],
+    equations: Sequence[Equation],
     inputs: Sequence[str],
     conditions: Conditions,
     *,
@@ -69,7 +62,9 @@ def plan_excitation(
 class _Planning:
     """Equations with the models that a measurement is to tell apart, and the conditions of it."""
 
-    def __init__(self, equations: Sequence[Found], inputs: Sequence[str], conditions: Conditions, odds: float) -> None:
+    def __init__(
+        self, equations: Sequence[Equation], inputs: Sequence[str], conditions: Conditions, odds: float
+    ) -> None:
         self.equations, self.inputs, self.conditions, self.odds = equations, inputs, conditions, odds
         self.leading = [_leading(equation) for equation in equations]
         listed = [(k, model) for k, equation in enumerate(equations) for model in equation.models[1:]]
@@ -168,11 +163,7 @@ class _Planning:
         return Outcome(design, amplitudes, share not in SHARES, rate, sd, seconds, peaks, tuple(separations))
 
     def _separation(
-        self,
-        rival: Rival,
-        place: int,
-        runs: Sequence[Mapping[str, Floats]],
-        own: Sequence[Mapping[str, Floats] | None],
+        self, rival: Rival, place: int, runs: Sequence[Mapping[str, Floats]], own: Sequence[Mapping[str, Floats] | None]
     ) -> Separation:
         """How some realisations tell a rival: of the leading model's motion, and of the rival's own."""
         equation, leading, fs = self.equations[rival.k], self.leading[rival.k], self.conditions.fs
@@ -204,7 +195,7 @@ class _Planning:
         )
 
 
-def _leading(equation: Found) -> Posterior:
+def _leading(equation: Equation) -> Posterior:
     """The likeliest model; with the coefficients of the terms shown, where it is theirs: these may be refined."""
     shown = equation.shown_posterior
     likeliest = equation.models[0]
@@ -213,14 +204,14 @@ def _leading(equation: Found) -> Posterior:
     return likeliest.posterior(shown)
 
 
-def _named(equation: Found, leading: Posterior) -> Compared:
+def _named(equation: Equation, leading: Posterior) -> Compared:
     """A leading model by its terms."""
     members = tuple(np.flatnonzero(leading.support).tolist())
     probability = next((model.probability for model in equation.models if model.members == members), None)
     return Compared(equation.target, ", ".join(equation.terms[j].text for j in members) or "no terms", probability)
 
 
-def _compared(equation: Found, leading: Posterior, model: CandidateModel) -> Compared:
+def _compared(equation: Equation, leading: Posterior, model: CandidateModel) -> Compared:
     """A rival by the terms that it has more and less than the leading model."""
     names = [equation.terms[j].text for j in model.members]
     own = [t.text for t, kept in zip(equation.terms, leading.support, strict=True) if kept]
@@ -235,7 +226,7 @@ def _contains(one: Posterior, other: Posterior) -> bool:
     return not (other.support & ~one.support).any()
 
 
-def _inimitable(equation: Found, true: Posterior, other: Posterior, run: Mapping[str, Floats]) -> float:
+def _inimitable(equation: Equation, true: Posterior, other: Posterior, run: Mapping[str, Floats]) -> float:
     """Sum of squares of the true model's target along a motion that the other one, fitted to it, leaves."""
     if _contains(other, true):
         return 0.0
@@ -243,6 +234,6 @@ def _inimitable(equation: Found, true: Posterior, other: Posterior, run: Mapping
     return unexplained(y, _columns(equation, other, run))
 
 
-def _columns(equation: Found, model: Posterior, run: Mapping[str, Floats]) -> Floats:
+def _columns(equation: Equation, model: Posterior, run: Mapping[str, Floats]) -> Floats:
     terms = [term for term, kept in zip(equation.terms, model.support, strict=True) if kept]
     return evaluate_terms(terms, run)

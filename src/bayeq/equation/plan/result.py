@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
@@ -14,6 +13,7 @@ import numpy as np
 
 from bayeq.arrays import Floats
 from bayeq.equation.plan.designs import EXCITATIONS, Design
+from bayeq.equation.written import finite
 from bayeq.figures.style import BLACK, BLUE, FULL_WIDTH, ORANGE, RED, log_ticks, new_figure, picture
 from bayeq.markup import printed, text_console
 
@@ -194,9 +194,6 @@ class Plan:
 
     def to_dict(self) -> dict[str, Any]:
         """The plan as plain data; an infinite time is null."""
-
-        def finite(value: float | None) -> float | None:
-            return value if value is not None and math.isfinite(value) else None
 
         def pair(one: Separation) -> dict[str, Any]:
             rival = self.rivals[one.rival]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from bayeq.numerics.rk4 import Interpolation
 from bayeq.numerics.settings import REFINE
 from bayeq.records import Record
 from bayeq.regression.constraints import Constraints
-from bayeq.regression.residuals import Fit, Residuals, inspect_residuals
+from bayeq.regression.residuals import Fit, inspect_residuals
 from bayeq.states import Sensors, Smooth, estimate_motion
 from bayeq.states.motion import held_out_share
 
@@ -83,20 +84,10 @@ class Refinement:
 
 
 @dataclass(frozen=True, eq=False)
-class RefinedEquation:
-    """What output error changes of an equation; see the attributes of `bayeq.Equation`."""
-
-    posterior: Posterior
-    train: Fit
-    held_out: Fit | None
-    residuals: Residuals
-
-
-@dataclass(frozen=True, eq=False)
 class RefinedEquations:
     """The equations in their order, how they were refined, how they do on the rows held out, and what to beware of."""
 
-    equations: tuple[RefinedEquation, ...]
+    equations: tuple[tuple[Posterior, dict[str, Any]], ...]  # posteriors, and what else changes of each `Equation`
     summary: Refinement
     scores: Scores | None
     log: WarningLog
@@ -242,8 +233,8 @@ def _worse_scores(before: Scores, after: Scores) -> list[str]:
 
 def _refined(
     dynamics: Dynamics, k: int, block: slice, found: OutputError, train: Sequence[Rows], held_out: Sequence[Rows]
-) -> RefinedEquation:
-    """The k-th equation, its residuals on the rows used and on those held out."""
+) -> tuple[Posterior, dict[str, Any]]:
+    """The k-th equation: its posterior, and by attribute its fits and residuals, of the rows used and held out."""
     parameters, covariance = found.parameters[block], found.covariance[block, block]
     target, free = dynamics.targets[k], found.free[block]
 
@@ -254,12 +245,11 @@ def _refined(
     residuals = residuals_of(train)
     noise = sum(float(e @ e) for e in residuals) / max(sum(map(len, residuals)) - int(free.sum()), 1)
     names = (*dynamics.inputs, *dynamics.chains[k].states)
-    return RefinedEquation(
-        _posterior(dynamics.laws[k].posterior, parameters, covariance, free, noise),
-        _fit([rows.columns[target] for rows in train], residuals),
-        _fit([rows.columns[target] for rows in held_out], residuals_of(held_out)) if held_out else None,
-        inspect_residuals(residuals, {name: [rows.columns[name] for rows in train] for name in names}),
-    )
+    return _posterior(dynamics.laws[k].posterior, parameters, covariance, free, noise), {
+        "train": _fit([rows.columns[target] for rows in train], residuals),
+        "held_out": _fit([rows.columns[target] for rows in held_out], residuals_of(held_out)) if held_out else None,
+        "residuals": inspect_residuals(residuals, {name: [rows.columns[name] for rows in train] for name in names}),
+    }
 
 
 def _at_bound(dynamics: Dynamics, found: OutputError) -> tuple[str, ...]:

@@ -42,36 +42,20 @@ MOST_TERMS = 2000
 
 @dataclass(frozen=True)
 class Alternatives:
-    """Other equations that predict otherwise.
+    """Other equations that predict otherwise."""
 
-    Attributes
-    ----------
-    probability : float
-        Of all of them together.
-    enter, leave : tuple of str
-        Terms that the likeliest of them has more, and less, than the equation shown.
-    """
-
-    probability: float
-    enter: tuple[str, ...] = ()
-    leave: tuple[str, ...] = ()
+    probability: float  # of all of them together
+    enter: tuple[str, ...] = ()  # terms that the likeliest of them has more than the equation shown
+    leave: tuple[str, ...] = ()  # and less
 
 
 def alternatives_to(fit: RegressionFit, shown: Posterior, tolerance: float, exact: bool = True) -> Alternatives:
     """Models of the posterior whose predictions differ from those of the equation shown by more than a tolerance.
 
     Of an exact law those too that damp otherwise: damping explains next to nothing, and yet decides how motion decays.
-
-    Parameters
-    ----------
-    fit : RegressionFit
-        With a model average; without one there are no alternatives.
-    shown : Posterior
-        Of the equation shown, in original units; where it is a projection, of the full model.
-    tolerance : float
-        Root mean square difference, as a share of the target's standard deviation.
-    exact : bool
-        Whether the law is exact.
+    The fit has a model average, without one there are no alternatives. What is shown is in original units and, where it
+    is a projection, of the full model. The tolerance is a root mean square difference, as a share of the target's
+    standard deviation.
     """
     average = fit.posterior.average
     if average is None:
@@ -134,13 +118,9 @@ def _points(motion: Motion, terms: Sequence[Expression]) -> list[dict[str, Float
 def bounds(fit: RegressionFit) -> Floats | None:
     """Below what the size of each coefficient is, with a probability of 95 % or more, were its term added.
 
-    The end of the 95 % interval that is further from zero, of the included terms and this one.
-
-    Returns
-    -------
-    (P,) array or None
-        In original units; NaN for terms that are included or depend on these, are tied to others by equalities, or
-        are candidates of other equations only. None of very many.
+    The end of the 95 % interval that is further from zero, of the included terms and this one: (P,), in original units,
+    NaN for terms that are included or depend on these, are tied to others by equalities, or are candidates of other
+    equations only. None of very many.
     """
     problem, support, kept = fit.problem, fit.posterior.support, fit.constraints.equalities.kept
     if len(support) > MOST_TERMS:
@@ -167,14 +147,7 @@ def undetermined(fit: RegressionFit, found: Posterior, bound: Floats | None) -> 
 
     With such a term the included ones have other coefficients, those that make up for it in the record.
 
-    Parameters
-    ----------
-    fit : RegressionFit
-        Without equalities between coefficients.
-    found : Posterior
-        In original units, of the included terms.
-    bound : (P,) array or None
-        From `bounds`.
+    The fit is one without equalities, what was found is in original units, and the bounds (P,) are those of `bounds`.
     """
     if bound is None or len(fit.constraints.equalities.eliminated):
         return ()

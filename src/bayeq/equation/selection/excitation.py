@@ -35,24 +35,12 @@ POINTS, PRIOR = 720, 5.0
 
 
 class Repeating(NamedTuple):
-    """Motion that repeats itself and does not tell the candidates apart.
+    """Motion that repeats itself and does not tell the candidates apart."""
 
-    Attributes
-    ----------
-    frequency : float
-        Of its period [Hz].
-    courses : int
-        Independent courses that the candidates take on it.
-    terms : int
-        Number of candidates.
-    single : bool
-        Whether the states have no other frequency.
-    """
-
-    frequency: float
-    courses: int
-    terms: int
-    single: bool = False
+    frequency: float  # of its period [Hz]
+    courses: int  # independent courses that the candidates take on it
+    terms: int  # number of candidates
+    single: bool = False  # whether the states have no other frequency
 
 
 def repeating(motion: Motion, terms: Sequence[Expression]) -> Repeating | None:

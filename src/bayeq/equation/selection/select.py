@@ -70,27 +70,17 @@ class LeftOut:
 
 @dataclass(frozen=True, slots=True)
 class Rules:
-    """Limits of the equation that is shown.
+    """Limits of the equation that is shown."""
 
-    Parameters
-    ----------
-    max_terms : int, optional
-        Largest number of terms.
-    tolerance : float, optional
-        What a law may lack, at least, as a share of the target's standard deviation, and how much worse free runs
-        without a term may be, as a share of the states' spread. By default what it lacks is learned; 0: nothing.
-    """
-
-    max_terms: int | None = None
+    max_terms: int | None = None  # largest number of terms
+    # What a law may lack, at least, as a share of the target's standard deviation, and how much worse free runs
+    # without a term may be, as a share of the states' spread. By default what it lacks is learned; 0: nothing.
     tolerance: float | None = None
 
     def check(self, method: str) -> None:
         """Check the limits, and that the method's models can be compared.
 
-        Raises
-        ------
-        InputError
-            Values out of range, or a method without spike-and-slab prior.
+        InputError for values out of range, or a method without spike-and-slab prior.
         """
         if self.tolerance is not None:
             require_number(self.tolerance, "tolerance")
@@ -156,22 +146,9 @@ class Selection:
 def select(fits: Sequence[RegressionFit], rules: Rules, motion: Motion, whole: bool = False) -> list[Selection]:
     """The terms that each equation of a system shows.
 
-    Parameters
-    ----------
-    fits : sequence of RegressionFit
-        One per equation.
-    rules : Rules
-        Limits.
-    motion : Motion
-        Its training rows are what free runs are compared on; without time no smaller model is shown, nor of a static
-        law, whose terms no run depends on.
-    whole : bool
-        Whether all included terms are shown, for terms are in several equations together.
-
-    Raises
-    ------
-    InputError
-        More terms are forced in than `max_terms`.
+    There is a fit for each equation. Free runs are compared on the training rows of the motion; without time no smaller
+    model is shown, nor of a static law, whose terms no run depends on. With `whole`, for terms are in several equations
+    together, all included terms are shown. InputError if more terms are forced in than `max_terms`.
     """
     chosen = [Selection(fit, fit.posterior) for fit in fits]
     if whole:

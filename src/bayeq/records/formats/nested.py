@@ -131,11 +131,9 @@ def _rows(array: Any, path: str, about: Mapping[str, Any]) -> Iterator[Channel]:
     elif len(shape) == 2 and 1 < min(shape) <= MOST_ROWS:
         across = shape[0] > shape[1]
         for k in range(min(shape)):
-            yield Channel(f"{path}.{k}", long, _part(array, k, across), unit=unit, step=step)
-
-
-def _part(array: Any, k: int, across: bool) -> Callable[[slice], Any]:
-    return lambda rows: array[rows, k] if across else array[k, rows]
+            # a row is bound when it is yielded, not when it is read
+            read = (lambda rows, k=k: array[rows, k]) if across else (lambda rows, k=k: array[k, rows])
+            yield Channel(f"{path}.{k}", long, read, unit=unit, step=step)
 
 
 def read_pieces(

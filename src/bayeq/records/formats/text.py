@@ -13,7 +13,7 @@ import re
 from array import array
 from collections.abc import Collection, Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import islice
 from pathlib import Path
 
@@ -295,20 +295,17 @@ class TextRows(FileRows):
     @cached_property
     def layout(self) -> Layout:
         """How the file is laid out."""
-        for encoding in encodings(self.path):
-            if encoding == "utf-16":
-                break
-            try:
-                layout = sniff(self.path, encoding)
-            except UnicodeError:
-                continue
-            if layout.stamps:
-                raise FileFormatError(
-                    f"{self.path}: has dates or times of day, which are not read from long text files; write the time"
-                    " in seconds, or a Parquet file"
-                )
-            return layout
-        raise FileFormatError(f"{self.path}: not a text file of single-byte characters; write UTF-8, or a Parquet file")
+        if encodings(self.path) in ((), ("utf-16",)):
+            raise FileFormatError(
+                f"{self.path}: not a text file of single-byte characters; write UTF-8, or a Parquet file"
+            )
+        layout = decoded(self.path, str(self.path), partial(sniff, self.path))
+        if layout.stamps:
+            raise FileFormatError(
+                f"{self.path}: has dates or times of day, which are not read from long text files; write the time"
+                " in seconds, or a Parquet file"
+            )
+        return layout
 
     @cached_property
     def headers(self) -> Headers:
