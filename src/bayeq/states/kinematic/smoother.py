@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -194,6 +193,7 @@ class Rows:
     samples: Floats  # (n, c), 0 where missing
     present: NDArray[np.bool_]  # (n, c)
     steps: Floats  # (n,) in `step`, 1 where regular
+    regular: NDArray[np.bool_]  # (n,), after a regular step and with all samples
     measured: NDArray[np.int64]  # (c,)
     lowest: int
     step: float
@@ -203,7 +203,7 @@ class Rows:
     @property
     def irregular(self) -> int:
         """Rows after an odd step or with a missing sample, on which gains cannot settle."""
-        return int(np.count_nonzero((self.steps[1:] != 1.0) | ~self.present[1:].all(axis=1)))
+        return int(np.count_nonzero(~self.regular[1:]))
 
     @property
     def count(self) -> int:
@@ -212,7 +212,8 @@ class Rows:
 
     def take(self, rows: slice) -> Rows:
         """A stretch of the record."""
-        return replace(self, samples=self.samples[rows], present=self.present[rows], steps=self.steps[rows])
+        names = ("samples", "present", "steps", "regular")
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
     def units(self, derivatives: ArrayLike) -> Floats:
         """Units of some derivatives."""
@@ -243,7 +244,9 @@ class Rows:
             innovations=np.empty((n, c)),
             means=np.empty((n * keep, m)),
         )
-        entries, steady, logs = filter_gains(self.steps, self.present, orders, variances, noise, np.diag(start), tables)
+        entries, steady, logs = filter_gains(
+            self.steps, self.present, self.regular, orders, variances, noise, np.diag(start), tables
+        )
         deviance = logs + filter_means(self.samples, self.steps, orders, tables)
         value = -0.5 * (deviance + self.count * math.log(2.0 * math.pi)) + self.log_jacobian
         filled = {name: getattr(tables, name)[:entries] for name in ("gains", "inverse", "roots")}
@@ -275,21 +278,17 @@ def prepare(series: ChainSeries, initial_sd: Floats, all_states: bool = False) -
         centre = float(samples[present[:, 0], 0].mean())
         samples[:, 0] -= centre
     samples[~present] = 0.0
-    rows = Rows(samples, present, steps, measured, 0 if all_states else int(measured[0]), step, scale, centre)
+    regular, lowest = (steps == 1.0) & present.all(axis=1), 0 if all_states else int(measured[0])
+    rows = Rows(samples, present, steps, regular, measured, lowest, step, scale, centre)
     samples /= rows.units(measured)
     return rows
 
 
-@lru_cache(maxsize=16)
 def _unit_root(m: int) -> Floats:
     """Lower root of Qd over a step of 1 with Q = 1: Qd_ij = 1/((2m-1-i-j) (m-1-i)! (m-1-j)!)."""
     back = np.arange(m - 1, -1, -1)
     factorials = np.array([math.factorial(k) for k in back], dtype=np.float64)
-    root = np.asarray(
-        np.linalg.cholesky(1.0 / ((back[:, None] + back + 1) * np.outer(factorials, factorials))), np.float64
-    )
-    root.setflags(write=False)
-    return root
+    return np.asarray(np.linalg.cholesky(1.0 / ((back[:, None] + back + 1) * np.outer(factorials, factorials))))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
