@@ -18,7 +18,6 @@ from numpy.typing import ArrayLike, NDArray
 from bayeq.arrays import Floats
 from bayeq.errors import InputError
 from bayeq.inference.gram_products import shifted_products
-from bayeq.kernels import kernel
 
 # Rows that are centred and multiplied at a time: large enough for BLAS, small enough for the cache.
 BLOCK_ROWS = 8192
@@ -341,51 +340,13 @@ class Moments:
         return Moments(n, self.mean + delta * (other.n / n), cross)
 
 
-@kernel
-def _column_means(D: Floats, y: Floats) -> Floats:
-    n, p = D.shape
-    mean = np.zeros(p + y.shape[1])
-    for i in range(n):
-        for j in range(p):
-            mean[j] += D[i, j]
-        for j in range(y.shape[1]):
-            mean[p + j] += y[i, j]
-    for j in range(len(mean)):
-        mean[j] /= n
-    return mean
-
-
-@kernel
-def _centre(D: Floats, y: Floats, mean: Floats, z: Floats, rest: Floats) -> None:
-    """z = [D y] - mean; the sums of z, which rounding of the mean has left, are added to `rest`."""
-    n, p = D.shape
-    for i in range(n):
-        for j in range(p):
-            value = D[i, j] - mean[j]
-            z[i, j] = value
-            rest[j] += value
-        for j in range(y.shape[1]):
-            value = y[i, j] - mean[p + j]
-            z[i, p + j] = value
-            rest[p + j] += value
-
-
-def _wide_products(D: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
-    """`shifted_products` of many columns, by BLAS."""
-    mean = _column_means(D, y)
-    z, rest = np.empty((len(D), len(mean))), np.zeros(len(mean))
-    _centre(D, y, mean, z, rest)
-    return mean, rest, z.T @ z
-
-
 def _block_moments(D: Floats, Y: Floats) -> Moments:
     """Centred co-moments of a block: products of deviations from about the mean, corrected for what that is off."""
     n = len(D)
-    D = np.ascontiguousarray(D)
-    Y = np.ascontiguousarray(Y)
-    columns = D.shape[1] + Y.shape[1]
+    if D.shape[1] + Y.shape[1] > SMALL:
+        return _weighted_moments(D, Y, np.ones(n))
     with np.errstate(over="ignore", invalid="ignore"):
-        shift, sums, cross = (shifted_products if columns <= SMALL else _wide_products)(D, Y)
+        shift, sums, cross = shifted_products(np.ascontiguousarray(D), np.ascontiguousarray(Y))
         cross -= sums[:, None] * (sums / n)
     return Moments(n, shift + sums / n, cross)
 
