@@ -22,7 +22,7 @@ from bayeq.arrays import Bools, Floats, Ints
 from bayeq.inference.collapsed.listing import KEEP, ModelSet, list_models
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import best_models, neighbours
-from bayeq.inference.collapsed.tableau import active_block, drifted, flip, renew, score, swept
+from bayeq.inference.collapsed.tableau import active_block, move_to, score, swept
 from bayeq.inference.prior import limited, signs_of
 from bayeq.kernels import kernel
 from bayeq.numerics.settings import INFERENCE
@@ -241,12 +241,7 @@ def _blocks(p: Problem, known: Bools, models: Bools, most: int) -> tuple[Ints, F
     current = np.zeros(models.shape[1], dtype=np.bool_)
     T = swept(p, current)
     for k in range(count):
-        for j in range(len(current)):
-            if models[k, j] != current[j]:
-                flip(p, T, j)
-                current[j] = not current[j]
-        if drifted(p, T):
-            renew(p, T, current)
+        move_to(p, T, current, models[k])
         rate[k] = max(T.diagonal[-1], p.floor)
         scores[k] = score(p, current, p.slab_variance)
         size = 0
