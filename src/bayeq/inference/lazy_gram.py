@@ -59,10 +59,6 @@ class LazyGram:
         """Column j of D'D, (P,)."""
         return np.asarray(self.data[:, j] @ self.data)
 
-    def with_dof(self, dof: float) -> LazyGram:
-        """The same statistics with another N in the likelihood (n for the paper's convention)."""
-        return replace(self, dof=float(dof))
-
     def standardise(self, target_scale: float = 1.0) -> Standardised:
         """Eq. (32): columns of zero mean and unit standard deviation, y divided by `target_scale`."""
         sd = np.sqrt(self.diagonal / self.n)
