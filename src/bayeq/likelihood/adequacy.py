@@ -17,19 +17,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.arrays import Floats
-from bayeq.likelihood.filter import Filtered, run_filter
+from bayeq.likelihood.filter import run_filter
 from bayeq.likelihood.fit import State, Statistics, adjoints, maximised, of_inputs, solved
 from bayeq.likelihood.gains import Suspect, suspects_of
 from bayeq.likelihood.levels import Levels
 from bayeq.likelihood.model import Fitted, Task
-from bayeq.numerics.distributions import Z95, Shape, incomplete_beta, shape_of
+from bayeq.numerics.distributions import Shape, incomplete_beta, shape_of
 from bayeq.numerics.settings import LIKELIHOOD
 
 # Memories of a discrepancy between which its test is followed.
 MEMORIES = 33
-
-# Step in ln size that the curvature of the likelihood is read from, and the curvature below which it tells nothing.
-STEP, LEAST_BEND = 0.1, 1e-3
 
 # A memory above this share of the longest that a fit may have is learned again without that bound: a force that nobody
 # measured may be slow.
@@ -46,8 +43,6 @@ class Discrepancy(NamedTuple):
     """The discrepancy of an equation: the force that its terms do not explain."""
 
     size: float  # standard deviation of the discrepancy as a share of the target's
-    low: float  # ends of its 95 % interval
-    high: float
     p: float  # probability by chance of a likelihood that is greater than without by as much, see `chance_of`
     octave: tuple[float, float]  # between these frequencies [Hz] lies most of its power
 
@@ -172,21 +167,15 @@ def changes_of(task: Task, state: State, here: Statistics, power: float) -> tupl
 
 def _discrepancy(task: Task, state: State, value: float, c: int, interval: float) -> Discrepancy:
     """The discrepancy of equation c, in a fit of log likelihood `value`."""
-    levels, size = state.levels, float(state.levels.kappa[c])
-
-    def log_likelihood(factor: float) -> float:
-        return task.value(replace(state, levels=levels.with_discrepancy(c, factor * levels.discrepancy[c])))
-
-    gain = 2.0 * (value - log_likelihood(0.0))
+    size, without = float(state.levels.kappa[c]), replace(state, levels=state.levels.with_discrepancy(c, 0.0))
+    gain = 2.0 * (value - task.value(without))
     if LIKELIHOOD.least_gain < gain < math.inf:
         gain = min(gain, 2.0 * gain_of(task, state, c))
     p = 0.0 if gain > 0.0 else 1.0
     if 0.0 < gain < math.inf:
         p = chance_of(gain, _length(task, state, c))
-    bend = -(log_likelihood(math.exp(STEP)) - 2.0 * value + log_likelihood(math.exp(-STEP))) / STEP**2
-    factor = math.exp(0.5 * Z95 / math.sqrt(bend)) if bend > LEAST_BEND else math.inf
     paths = [path[:, task.layout.discrepancy[c]] for path in state.paths]
-    return Discrepancy(size, size / factor, size * factor, p, _main_octave(paths, interval))
+    return Discrepancy(size, p, _main_octave(paths, interval))
 
 
 def _innovations(
@@ -385,13 +374,10 @@ def power_of(task: Task, fitted: Fitted) -> float:
         return 1.0
     found = task.marginal(fitted.state)
     root = np.linalg.cholesky(found.covariance)
-    excess, error = excess_of([_scores(one, found.delta) @ root for one in found.filtered])
+    excess, error = excess_of(
+        [np.einsum("tk,tki->ti", *one.standardised(found.delta)) @ root for one in found.filtered]
+    )
     return 1.0 / excess if excess > 1.0 + LIKELIHOOD.correlated_by * error else 1.0
-
-
-def _scores(filtered: Filtered, delta: Floats) -> Floats:
-    """Derivatives of the log likelihood of every sample by the coefficients, (n, r)."""
-    return np.asarray(np.einsum("tk,tki->ti", *filtered.standardised(delta)))
 
 
 def excess_of(scores: Sequence[Floats]) -> tuple[float, float]:
