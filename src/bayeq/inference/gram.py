@@ -371,10 +371,7 @@ def _weighted_moments(D: Floats, Y: Floats, weights: Floats) -> Moments:
 def from_moments(moments: Moments, names: tuple[str, ...], targets: int) -> tuple[Gram, ...]:
     """One `Gram` per target from moments of the columns of D and the targets; all share D'D.
 
-    Raises
-    ------
-    InputError
-        Values that are not finite, or overflow when squared.
+    An InputError refuses values that are not finite, or overflow when squared.
     """
     squares = np.diagonal(moments.cross)
     if not np.isfinite(squares).all():
@@ -415,19 +412,8 @@ def grams_from_blocks(
 ) -> tuple[Gram, ...]:
     """One `Gram` per target from blocks of rows, in one pass; all of them share D'D.
 
-    Parameters
-    ----------
-    blocks : iterable of (D, Y)
-        Dictionary rows (m, P) and target rows (m, T) of each block.
-    names : sequence of str
-        The P columns.
-    targets : int
-        T.
-
-    Raises
-    ------
-    InputError
-        No rows at all, or values that are not finite (or overflow when squared).
+    A block has dictionary rows (m, P) and target rows (m, T). An InputError refuses no rows at all, and values that are
+    not finite (or overflow when squared).
     """
     return _joined((_block_moments(D, Y) for D, Y in blocks if len(D)), tuple(names), targets)
 
@@ -435,13 +421,7 @@ def grams_from_blocks(
 def grams_from_data(
     D: ArrayLike, Y: ArrayLike, names: Sequence[str] | None = None, weights: ArrayLike | None = None
 ) -> tuple[Gram, ...]:
-    """One `Gram` per column of Y (n, T), all of which share D'D; otherwise as `Gram.from_data`.
-
-    Raises
-    ------
-    InputError
-        As `Gram.from_data`.
-    """
+    """One `Gram` per column of Y (n, T), all of which share D'D; otherwise as `Gram.from_data`."""
     D = np.asarray(D, dtype=np.float64)
     Y = np.asarray(Y, dtype=np.float64)
     if D.ndim != 2 or Y.ndim != 2 or len(D) != len(Y):
@@ -471,21 +451,9 @@ def default_names(columns: int) -> tuple[str, ...]:
 
 
 def require_squares(D: Floats, Y: Floats, diagonal: Floats, yty: Floats, names: Sequence[str]) -> None:
-    """Raise where values vary, but by too little for their squares to keep their digits.
+    """Raise an InputError that names the columns of D (n, P) and Y (n, T) whose squares are too small to keep digits.
 
-    Parameters
-    ----------
-    D, Y : (n, P) array, (n, T) array
-        The rows.
-    diagonal, yty : (P,) array, (T,) array
-        Centred sums of squares of the columns and of the targets.
-    names : sequence of str
-        The P columns.
-
-    Raises
-    ------
-    InputError
-        Naming the columns.
+    Centred sums of squares are `diagonal` (P,) and `yty` (T,).
     """
     if min(diagonal.min(initial=np.inf), yty.min(initial=np.inf)) >= LEAST_SQUARES:
         return

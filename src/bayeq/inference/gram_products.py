@@ -21,10 +21,7 @@ APART = 8
 def block_for(columns: int, rows: int) -> Floats:
     """Room for some columns, a last one of ones, whose products are sums, and zeros up to a multiple of four.
 
-    Returns
-    -------
-    (C, R) array
-        For `add_products`; R is larger than `rows`.
+    (C, R), for `add_products`; R is larger than `rows`.
     """
     block = np.zeros((_padded(columns), rows + APART))
     block[columns] = 1.0
@@ -99,18 +96,10 @@ def _transpose(part: Floats, shift: Floats, block: Floats) -> None:
 
 @kernel
 def shifted_products(D: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
-    """Sums of products, and sums, of the columns of [D y] less some shifts.
+    """Shifts (P + T,), and sums (P + T,) and sums of products (P + T, P + T), of the columns of [D y] less these.
 
-    The shifts are the means of the first rows, so that hardly any digits are lost; a constant column is exactly zero.
-
-    Parameters
-    ----------
-    D, y : (n, P) array, (n, T) array
-        At least one row.
-
-    Returns
-    -------
-    shift, sums, products : (P + T,) array, (P + T,) array, (P + T, P + T) array
+    D is (n, P), y is (n, T), of at least one row. The shifts are the means of the first rows, so that hardly any digits
+    are lost; a constant column is exactly zero.
     """
     n, p = D.shape
     columns = p + y.shape[1]

@@ -22,33 +22,18 @@ LEAST_COLUMNS = 500
 
 @dataclass(frozen=True, slots=True)
 class LazyGram:
-    """Centred data that answer as a `Gram` does.
+    """Centred data that answer as a `Gram` does."""
 
-    Parameters
-    ----------
-    names : tuple of str
-        The P columns.
-    n : float
-        Number of rows.
-    mean, target_mean : (P,) array, float
-        Means of D and y.
-    data : (n, P) array
-        Centred D.
-    diagonal, Dty, yty : (P,) array, (P,) array, float
-        Centred sums of squares and products.
-    dof : float
-        Degrees of freedom, as in `Gram`.
-    """
-
-    names: tuple[str, ...]
-    n: float
-    mean: Floats
+    names: tuple[str, ...]  # the P columns
+    n: float  # number of rows
+    mean: Floats  # (P,), of D
     target_mean: float
-    data: Floats
-    diagonal: Floats
-    Dty: Floats
+    data: Floats  # (n, P), centred D
+    # centred sums of squares and products
+    diagonal: Floats  # (P,)
+    Dty: Floats  # (P,)
     yty: float
-    dof: float
+    dof: float  # degrees of freedom, as in `Gram`
 
     @property
     def DtD(self) -> Floats:
@@ -114,10 +99,7 @@ def grams_of(
 ) -> tuple[Gram | LazyGram, ...]:
     """The statistics of regressions of the columns of Y (n, T) on D (n, P); lazy where D is wide and P large.
 
-    Raises
-    ------
-    InputError
-        As `Gram.from_data`.
+    Raises as `Gram.from_data`.
     """
     rows, columns = D.shape
     if columns > rows and columns >= LEAST_COLUMNS:

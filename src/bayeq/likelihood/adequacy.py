@@ -269,13 +269,8 @@ def chance_of(gain: float, length: float) -> float:
     memory is the likeliest too: to the normal tail at one end of its range are added the crossings of the level on the
     way to the other (Davies 1977, with the rate of Rice).
 
-    Parameters
-    ----------
-    gain : float
-        Twice the logarithm of the ratio of the likelihoods.
-    length : float
-        Angle that the test turns through from the least memory to the most: two tests of correlation r are arccos(r)
-        apart.
+    `gain` is twice the logarithm of the ratio of the likelihoods; `length` the angle that the test turns through from
+    the least memory to the most: two tests of correlation r are arccos(r) apart.
 
     Examples
     --------

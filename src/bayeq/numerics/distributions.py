@@ -21,15 +21,10 @@ class Shape(NamedTuple):
 
 
 def shape_of(e: NDArray[np.float64], third: float = 1.0, fourth: float = 1.0) -> Shape:
-    """The shape of numbers of mean 0, beside that of a normal distribution.
+    """The shape of numbers of mean 0, (n,) and not all 0, beside that of a normal distribution.
 
-    Parameters
-    ----------
-    e : (n,) array
-        Not all 0.
-    third, fourth : float
-        Sums of the third and fourth powers of their autocorrelations over all lags (Lobato and Velasco 2004); 1 of
-        independent ones (Jarque and Bera 1980).
+    `third` and `fourth` are sums of these powers of their autocorrelations over all lags (Lobato and Velasco 2004); 1
+    of independent ones (Jarque and Bera 1980).
     """
     second = float(np.mean(e**2))
     skewness = float(np.mean(e**3)) / second**1.5
@@ -41,10 +36,7 @@ def shape_of(e: NDArray[np.float64], third: float = 1.0, fourth: float = 1.0) ->
 def t95(freedom: NDArray[np.float64]) -> NDArray[np.float64]:
     """Half-width of a 95 % interval of Student's t, by the expansion about the normal (Abramowitz and Stegun 26.7.5).
 
-    Parameters
-    ----------
-    freedom : array
-        Degrees of freedom, 3 or more (within 1 %); infinite of the normal.
+    Of 3 degrees of freedom or more (within 1 %); infinitely many of the normal.
 
     Examples
     --------

@@ -175,34 +175,16 @@ def parse_constraints(
     dropped: Mapping[str, str] | None = None,
     allowed: Bools | None = None,
 ) -> tuple[Constraints, ...]:
-    """Read constraints; nothing in them is evaluated as code.
+    """Read the constraints of each target; nothing in them is evaluated as code.
 
-    Parameters
-    ----------
-    texts : str or sequence of str
-        ``"u == 1"``, ``"x*abs(x) == 0.5*x**3"``, ``"x + 2*v == 3"``: linear equations between coefficients;
-        ``"v <= 0"``, ``"x**3 > 0"``: the sign of one (``<`` and ``<=`` mean the same); ``"0 <= x**3 <= 5"``: bounds of
-        one; ``"u ~ 0.1 +- 0.001"``: one that was measured before, with its standard deviation. ``"a: v <= 0"`` and
-        ``"0 <= a: x**3 <= 5"`` concern the equation of target a only, others concern every equation.
-    terms : sequence of Expression
-        The P candidates.
-    targets : sequence of str
-        Names of the equations' targets.
-    dropped : mapping of str to str, optional
-        Candidates that were left out, each with the reason.
-    allowed : (C, P) bool array, optional
-        The candidates of each equation; by default all are candidates of every one.
+    ``"u == 1"``, ``"x*abs(x) == 0.5*x**3"``, ``"x + 2*v == 3"``: linear equations between coefficients; ``"v <= 0"``,
+    ``"x**3 > 0"``: the sign of one (``<`` and ``<=`` mean the same); ``"0 <= x**3 <= 5"``: bounds of one;
+    ``"u ~ 0.1 +- 0.001"``: one that was measured before, with its standard deviation. ``"a: v <= 0"`` and
+    ``"0 <= a: x**3 <= 5"`` concern the equation of target a only, others concern every equation.
 
-    Returns
-    -------
-    tuple of Constraints
-        One per target.
-
-    Raises
-    ------
-    InputError
-        Malformed text, a term that is not a candidate, or not one of the equation that is named; equations, signs or
-        bounds that contradict each other.
+    `dropped` are candidates that were left out, each with the reason; `allowed`, (C, P), the candidates of each
+    equation, by default all. An InputError refuses malformed text, a term that is not a candidate, or not one of the
+    equation that is named, and equations, signs or bounds that contradict each other.
 
     Examples
     --------
