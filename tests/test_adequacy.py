@@ -24,7 +24,7 @@ from bayeq.numerics.distributions import incomplete_beta
 from bayeq.states import Roles
 from tests.draws import draws
 
-NOTHING = Discrepancy(1e-4, 0.6, (1.0, 2.0))
+NOTHING = Discrepancy(1e-4, 0.0, np.inf, 0.6, (1.0, 2.0))
 
 
 def test_chance_of_a_discrepancy_counts_the_memories_that_were_tried():
@@ -151,7 +151,7 @@ def test_changes_of_constant_coefficients_are_by_chance():
 def test_verdicts_from_the_worst():
     found = Verdict("found", "R2 1")
     others = Alternatives(0.2, ("v**3",), ("v",))
-    lacking = NOTHING._replace(size=0.03, p=1e-9)
+    lacking = NOTHING._replace(size=0.03, low=0.02, high=0.04, p=1e-9)
     hum = Octave("v", 40.0, 80.0, 4.0, 1e-9, 0.1)
     none = Alternatives(0.0)
     more, less = (Change(0, "the constant", 0.05, share, 1e-9) for share in (0.018, 0.01))

@@ -22,11 +22,14 @@ from bayeq.likelihood.fit import State, Statistics, adjoints, maximised, of_inpu
 from bayeq.likelihood.gains import Suspect, suspects_of
 from bayeq.likelihood.levels import Levels
 from bayeq.likelihood.model import Fitted, Task
-from bayeq.numerics.distributions import Shape, incomplete_beta, shape_of
+from bayeq.numerics.distributions import Z95, Shape, incomplete_beta, shape_of
 from bayeq.numerics.settings import LIKELIHOOD
 
 # Memories of a discrepancy between which its test is followed.
 MEMORIES = 33
+
+# Step in ln size that the curvature of the likelihood is read from, and the curvature below which it tells nothing.
+STEP, LEAST_BEND = 0.1, 1e-3
 
 # A memory above this share of the longest that a fit may have is learned again without that bound: a force that nobody
 # measured may be slow.
@@ -43,6 +46,8 @@ class Discrepancy(NamedTuple):
     """The discrepancy of an equation: the force that its terms do not explain."""
 
     size: float  # standard deviation of the discrepancy as a share of the target's
+    low: float  # ends of its 95 % interval
+    high: float
     p: float  # probability by chance of a likelihood that is greater than without by as much, see `chance_of`
     octave: tuple[float, float]  # between these frequencies [Hz] lies most of its power
 
@@ -167,15 +172,21 @@ def changes_of(task: Task, state: State, here: Statistics, power: float) -> tupl
 
 def _discrepancy(task: Task, state: State, value: float, c: int, interval: float) -> Discrepancy:
     """The discrepancy of equation c, in a fit of log likelihood `value`."""
-    size, without = float(state.levels.kappa[c]), replace(state, levels=state.levels.with_discrepancy(c, 0.0))
-    gain = 2.0 * (value - task.value(without))
+    levels, size = state.levels, float(state.levels.kappa[c])
+
+    def log_likelihood(factor: float) -> float:
+        return task.value(replace(state, levels=levels.with_discrepancy(c, factor * levels.discrepancy[c])))
+
+    gain = 2.0 * (value - log_likelihood(0.0))
     if LIKELIHOOD.least_gain < gain < math.inf:
         gain = min(gain, 2.0 * gain_of(task, state, c))
     p = 0.0 if gain > 0.0 else 1.0
     if 0.0 < gain < math.inf:
         p = chance_of(gain, _length(task, state, c))
+    bend = -(log_likelihood(math.exp(STEP)) - 2.0 * value + log_likelihood(math.exp(-STEP))) / STEP**2
+    factor = math.exp(0.5 * Z95 / math.sqrt(bend)) if bend > LEAST_BEND else math.inf
     paths = [path[:, task.layout.discrepancy[c]] for path in state.paths]
-    return Discrepancy(size, p, _main_octave(paths, interval))
+    return Discrepancy(size, size / factor, size * factor, p, _main_octave(paths, interval))
 
 
 def _innovations(
