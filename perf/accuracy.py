@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bayeq as bq
+from bayeq.inference.collapsed.path import model_log_posterior
 from bayeq.inference.collapsed.problem import Problem
-from bayeq.inference.collapsed.search import log_evidence
 from perf.problems import Data, Fitted
 
 __all__ = ["Accuracy", "assess", "evidence_over", "together"]
@@ -61,7 +61,7 @@ def evidence_over(data: Data, chosen: NDArray[np.bool_], other: NDArray[np.bool_
     if not len(union):
         return 0.0
     problem = Problem.of(bq.Gram.from_data(data.D[:, union], data.y).standardise().gram, prior)
-    return float(log_evidence(problem, chosen[union]) - log_evidence(problem, other[union]))
+    return float(model_log_posterior(problem, chosen[union]) - model_log_posterior(problem, other[union]))
 
 
 def assess(data: Data, fitted: Fitted, prior_inclusion: float) -> Accuracy:

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 import bayeq as bq
 from bayeq.inference.bma import spike_slab_bma
+from bayeq.inference.collapsed.path import model_log_posterior
 from bayeq.inference.collapsed.problem import Problem
-from bayeq.inference.collapsed.search import log_evidence
 from bayeq.inference.vb import spike_slab_vb
 from perf.peers import CONTESTANTS
 from perf.problems import LARGEST_CORRELATION, SYSTEMS, Data, oscillator
@@ -93,13 +93,13 @@ def count_better(random: int, oscillators: int, progress: Callable[[int], None] 
         average = spike_slab_bma(gram, prior).average
         assert average is not None
         best, vb = average.models[0], spike_slab_vb(gram, prior).support
-        tops = log_evidence(problem, best), log_evidence(problem, vb)
+        tops = model_log_posterior(problem, best), model_log_posterior(problem, vb)
         for name, count in counts.items():
             terms = data.true if name == "truth" else _selected(name, data, float(prior.prior_inclusion))  # type: ignore[arg-type]
             if terms is None:
                 count.failed += 1
             else:
-                _add(count, bool(np.array_equal(terms, best)), log_evidence(problem, terms), *tops)
+                _add(count, bool(np.array_equal(terms, best)), model_log_posterior(problem, terms), *tops)
         progress(done + 1)
     return list(counts.values())
 

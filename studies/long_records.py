@@ -20,7 +20,8 @@ import numpy as np
 import bayeq as bq
 from bayeq.discovery import entry
 from bayeq.equation.equations import Equations
-from bayeq.numerics.settings import LIKELIHOOD, overridden
+from bayeq.numerics.settings import LIKELIHOOD
+from studies.overridden import overridden
 
 SYSTEMS = ("linear", "duffing", "quadratic", "coulomb")
 SEED = 100_000

@@ -18,10 +18,11 @@ import numpy as np
 import bayeq as bq
 from bayeq.discovery import discover
 from bayeq.equation.equations import Equations
-from bayeq.numerics.settings import LIKELIHOOD, overridden
+from bayeq.numerics.settings import LIKELIHOOD
 from studies import numbers_records as kinds
 from studies.adverse import judged_with_verdict
 from studies.judge import timed
+from studies.overridden import overridden
 from studies.resumable import Cell, Outcome, run_study
 
 __all__ = ["main"]

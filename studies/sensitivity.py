@@ -21,7 +21,7 @@ import numpy as np
 
 from bayeq.discovery import discover
 from bayeq.errors import BayeqError, BayeqWarning
-from bayeq.numerics.settings import overridden
+from studies.overridden import overridden
 from studies.resumable import Cell, Outcome, run_study
 from studies.rules import STAGES
 from studies.sensitivity_records import RECORDS, Question

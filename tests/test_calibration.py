@@ -9,6 +9,7 @@ import pytest
 from scipy import stats
 from studies import calibration, reliability
 from studies.calibration import calibrate_one, main, tables
+from studies.overridden import overridden
 from studies.reliability import Curve, draw_reliability, study_problem, table
 from studies.tally import (
     BINS,
@@ -26,7 +27,7 @@ from studies.tally import (
 
 from bayeq.figures.style import style
 from bayeq.inference.posterior import Draws
-from bayeq.numerics.settings import INFERENCE, overridden
+from bayeq.numerics.settings import INFERENCE
 from bayeq.study.config import STUDY_SYSTEMS, StudyConfig
 from bayeq.study.runner import draw
 

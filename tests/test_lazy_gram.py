@@ -9,7 +9,7 @@ import bayeq as bq
 from bayeq.errors import InputError
 from bayeq.inference.auto import spike_slab_auto
 from bayeq.inference.bma import spike_slab_bma
-from bayeq.inference.collapsed.problem import Problem, fetch, gram_row
+from bayeq.inference.collapsed.problem import Problem, fetch, gram_block
 from bayeq.inference.collapsed.search import best_models
 from bayeq.inference.gibbs import spike_slab_gibbs
 from bayeq.inference.gram import Gram, dense
@@ -77,7 +77,7 @@ def test_few_rows_of_the_product_are_computed():
     assert set(np.flatnonzero(best_models(problem)[0][1])) == set(TRUE)
     used = problem.columns.used[0]
     assert len(TRUE) <= used < 30
-    gram_row(problem.columns, 77)
+    gram_block(problem.columns, np.array([77]))
     assert problem.columns.used[0] == used  # it was there
 
 
@@ -90,6 +90,18 @@ def test_once_single_rows_have_cost_as_much_the_rest_is_computed_at_once():
     fetch(columns, 511)
     assert columns.used[0] == 600
     np.testing.assert_allclose(columns.rows[columns.slot], gram.DtD, atol=1e-8)
+
+
+def test_all_of_the_product_can_be_asked_for():
+    D, y = wide(n=100)
+    lazy = grams_of(D, y[:, None])[0]
+    problem = Problem.of(lazy, Prior())
+    np.testing.assert_allclose(problem.DtD, lazy.DtD, atol=1e-8)
+    assert problem.columns.used[0] == 600
+    # the rows stand in the order in which they were asked for, the block in that of the terms
+    other = Problem.of(lazy, Prior()).columns
+    fetch(other, 400)
+    np.testing.assert_allclose(gram_block(other, np.array([3, 400, 77])), lazy.DtD[np.ix_([3, 400, 77], [3, 400, 77])])
 
 
 @pytest.mark.parametrize("estimator", [bq.SpikeSlabVB, bq.SpikeSlabBMA, bq.SpikeSlabGibbs])

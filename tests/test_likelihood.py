@@ -12,6 +12,7 @@ import pytest
 from scipy.signal import lfilter
 from scipy.special import erf
 from studies.adverse_records import CASES, draw_record
+from studies.overridden import overridden
 
 import bayeq as bq
 from bayeq.expressions import Evaluator, Expression, number, parse
@@ -21,7 +22,7 @@ from bayeq.likelihood.blur import blur_of
 from bayeq.likelihood.layout import Layout, Series
 from bayeq.likelihood.model import fit, from_all_levels, with_model
 from bayeq.likelihood.signs import half_of_jump, mean_of_jumps, unresolved_share
-from bayeq.numerics.settings import LIKELIHOOD, overridden
+from bayeq.numerics.settings import LIKELIHOOD
 from bayeq.states import Roles
 from bayeq.systems import get_system
 

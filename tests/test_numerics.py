@@ -61,27 +61,17 @@ def test_a_convex_function_has_the_minimum_of_scipy_within_bounds(seed, n):
 
 @pytest.mark.parametrize("n", [2, 5, 10])
 def test_a_curved_valley_is_followed(n):
-    found = minimise(lambda x: (rosen(x), rosen_der(x)), np.full(n, 1.5), gradient_tolerance=1e-8)
+    points = []
+
+    def fun(x):
+        points.append(x)
+        return rosen(x), rosen_der(x)
+
+    found = minimise(fun, np.full(n, 1.5), gradient_tolerance=1e-8)
     assert found.converged
     np.testing.assert_allclose(found.x, 1.0, atol=1e-7)
     slow = by_scipy(lambda x: (rosen(x), rosen_der(x)), np.full(n, 1.5), np.full(n, -np.inf), np.full(n, np.inf))
-    assert found.evaluations < 2 * slow.nfev
-
-
-@pytest.mark.parametrize("upper", [math.inf, 0.5])
-def test_differences_lead_to_the_same_minimum(upper):
-    points = []
-
-    def value(x):
-        points.append(x.copy())
-        return rosen(x)
-
-    exact = minimise(lambda x: (rosen(x), rosen_der(x)), [-1.2, 0.3, 0.5], -2.0, upper)
-    found = minimise(value, [-1.2, 0.3, 0.5], -2.0, upper)
-    assert found.converged
-    np.testing.assert_allclose(found.x, exact.x, atol=1e-6)
-    assert np.max(points) <= upper
-    assert np.min(points) >= -2.0
+    assert len(points) < 2 * slow.nfev
 
 
 def test_a_minimum_in_a_corner_is_reached_exactly():
@@ -91,7 +81,7 @@ def test_a_minimum_in_a_corner_is_reached_exactly():
 
 
 def test_equal_bounds_hold_a_parameter():
-    found = minimise(lambda x: float(np.sum((x - 3.0) ** 2)), [0.0, 0.0], [-5.0, 1.0], [5.0, 1.0])
+    found = minimise(lambda x: (float(np.sum((x - 3.0) ** 2)), 2 * (x - 3.0)), [0.0, 0.0], [-5.0, 1.0], [5.0, 1.0])
     np.testing.assert_allclose(found.x, [3.0, 1.0], atol=1e-6)
 
 
@@ -110,15 +100,16 @@ def test_where_the_value_is_not_finite_steps_are_cut():
 def test_with_its_hessian_a_quadratic_function_takes_one_step(seed, n):
     rng = np.random.default_rng(seed)
     A = rng.normal(size=(2 * n, n))
-    hessian, centre = A.T @ A + np.eye(n), rng.normal(size=n)
+    hessian, centre, points = A.T @ A + np.eye(n), rng.normal(size=n), []
 
     def fun(x):
+        points.append(x)
         pull = hessian @ (x - centre)
         return 0.5 * float((x - centre) @ pull), pull
 
     found = minimise(fun, centre + rng.normal(size=n), hessian=hessian)
     assert found.converged
-    assert found.evaluations <= 3  # the start, the minimum, and rounding
+    assert len(points) <= 3  # the start, the minimum, and rounding
     np.testing.assert_allclose(found.x, centre, atol=1e-6)
     # what it has learnt is still that: an update with an exact difference changes nothing
     np.testing.assert_allclose(found.hessian, hessian, rtol=1e-6, atol=1e-6 * np.abs(hessian).max())

@@ -78,11 +78,11 @@ def test_the_curvature_is_that_of_one_likelihood(whole):
     np.testing.assert_allclose(hessian / unit[:, None] / unit, (hessian / unit[:, None] / unit).T, atol=0.01)
     # slopes by coefficients, by levels, are slopes by levels, by coefficients; the largest is 0.024
     information = np.diagonal(whole[0].fitted.quadratic.information) / task.rows
-    base = _slopes(task, state).by_levels
+    base = _slopes(task, state)[1]
     for k, j in enumerate(task.number(state.chosen)):
         step = 0.1 / np.sqrt(information[j] * task.rows)
         theta = state.theta + step * (np.arange(len(state.theta)) == k)
-        moved = _slopes(task, replace(state, theta=theta)).by_levels
+        moved = _slopes(task, replace(state, theta=theta))[1]
         by_theta = (moved - base)[curve.moving[sharp]] / step / task.rows
         scale = unit * np.sqrt(information[j])
         np.testing.assert_allclose(curve.slopes[j, sharp] / scale, by_theta / scale, atol=1e-3)

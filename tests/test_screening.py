@@ -6,10 +6,11 @@ import warnings
 
 import numpy as np
 import pytest
+from studies.overridden import overridden
 
 import bayeq as bq
 from bayeq.dictionary import Variables, build_dictionary
-from bayeq.numerics.settings import LIKELIHOOD, overridden
+from bayeq.numerics.settings import LIKELIHOOD
 from bayeq.regression.design import explaining, screened
 from bayeq.states import Roles, estimate_motion
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from studies.overridden import overridden
 from studies.sensitivity import Answer, Compared, Used, differences, moved
 
-from bayeq.numerics.settings import SELECTION, overridden
+from bayeq.numerics.settings import SELECTION
 
 
 def test_other_values_go_after_an_error_too():

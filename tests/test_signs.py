@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from scipy import integrate, stats
+from studies.overridden import overridden
 
 from bayeq import SpikeSlabBMA
 from bayeq.errors import DataWarning, InputError
@@ -17,7 +18,7 @@ from bayeq.inference.engines import ENGINES
 from bayeq.inference.gram import Gram
 from bayeq.inference.prior import SIGNED, Prior
 from bayeq.inference.signs import Orthants
-from bayeq.numerics.settings import INFERENCE, overridden
+from bayeq.numerics.settings import INFERENCE
 from tests import reference
 
 # ------------------------------------------------------------------------------------------------------------ orthants

@@ -369,11 +369,8 @@ def _values(node: Node, constants: Mapping[str, Unknown], columns: Columns) -> l
 
     None where these are not known.
     """
-    middle = {
-        name: replace(one, value=math.sqrt(one.low * one.high) if is_scale(one) else 0.5 * (one.low + one.high))
-        for name, one in constants.items()
-    }
-    expression = Expression(node).with_unknowns(middle)
+    values = {name: replace(one, value=middle(one)) for name, one in constants.items()}
+    expression = Expression(node).with_unknowns(values)
     with np.errstate(all="ignore"):
         found = [np.atleast_1d(Evaluator(one)(expression)) for one in columns]
     return found if all(np.isfinite(one).all() for one in found) else None

@@ -38,7 +38,7 @@ def members(texts: Sequence[str], families: Set[str]) -> list[Member] | None:
     True
     """
     divided = [_parts(text) for text in texts]
-    unions = [any(_family(part.text) in families for part in parts) for parts in divided]
+    unions = [any(part.text.partition(":")[0].strip() in families for part in parts) for parts in divided]
     if not any(unions):
         return None
     out: list[Member] = []
@@ -49,10 +49,6 @@ def members(texts: Sequence[str], families: Set[str]) -> list[Member] | None:
             bare = text.strip()
             out.append(Member(bare.removeprefix("-").strip(), bare.startswith("-")))
     return out
-
-
-def _family(text: str) -> str:
-    return text.partition(":")[0].strip()
 
 
 def _parts(text: str) -> list[Member]:

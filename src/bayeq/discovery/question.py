@@ -122,11 +122,10 @@ class Question:
     def answer(
         self, records: Sequence[Record], whole: Whole | None = None, because: str | None = None
     ) -> tuple[Equations, WarningLog]:
-        """The equations, and the warnings that go with them.
+        """The equations, and the warnings that go with them, `because` of the choice of the records among these.
 
-        `whole` is all rows, where the records are stretches of longer ones, and `because` what to say of the choice of
-        the records. InputError for channels, terms or samples that cannot be used; NotStreamed where stretches do not
-        do for what is asked.
+        `whole` are all rows, where the records are stretches of longer ones. An InputError refuses channels, terms or
+        samples that cannot be used; NotStreamed says that stretches do not do for what is asked.
         """
         if self.differs:
             question, numbered = self._by_record(records, whole)

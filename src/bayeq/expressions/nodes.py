@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import Any, TypeAlias
 
 from bayeq.errors import ExpressionError
-from bayeq.expressions.functions import COMPARISONS, CONSTANTS, FUNCTIONS
+from bayeq.expressions.functions import COMPARISONS
 
 # Binding strength of the operators in Python's grammar; unary minus stands between * and **.
 OPERATORS = {**dict.fromkeys(COMPARISONS, 0), "+": 1, "-": 1, "*": 2, "/": 2, "**": 4}
@@ -67,11 +67,6 @@ class Constant(_Node):
 
     name: str
 
-    def __post_init__(self) -> None:
-        if self.name not in CONSTANTS:
-            raise ExpressionError(f"no constant {self.name!r}; there are: {', '.join(CONSTANTS)}")
-        _Node.__post_init__(self)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Unknown(_Node):
@@ -104,11 +99,6 @@ class Binary(_Node):
     left: Node
     right: Node
 
-    def __post_init__(self) -> None:
-        if self.op not in OPERATORS:
-            raise ExpressionError(f"no operator {self.op!r}; there are: {' '.join(OPERATORS)}")
-        _Node.__post_init__(self)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Call(_Node):
@@ -116,14 +106,6 @@ class Call(_Node):
 
     function: str
     arguments: tuple[Node, ...]
-
-    def __post_init__(self) -> None:
-        if self.function not in FUNCTIONS:
-            raise ExpressionError(f"no function {self.function!r}; there are: {', '.join(FUNCTIONS)}")
-        least, most = FUNCTIONS[self.function].arguments
-        if not least <= len(self.arguments) <= (most or len(self.arguments)):
-            raise ExpressionError(f"{self.function} takes {argument_count(least, most)}, not {len(self.arguments)}")
-        _Node.__post_init__(self)
 
 
 def argument_count(least: int, most: int | None) -> str:

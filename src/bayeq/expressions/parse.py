@@ -129,12 +129,6 @@ def _name(text: str, written: str, column: int) -> str:
     return name + bracket + back
 
 
-@lru_cache(maxsize=8192)
-def _shared(node: Node) -> Node:
-    """The first node made that equals this one: what is identical is found faster in dictionaries."""
-    return node
-
-
 class _Parser:
     """Tokens to a tree, counting nodes and depth."""
 
@@ -170,7 +164,7 @@ class _Parser:
         if depth > MAX_DEPTH:
             raise self.error(f"nested deeper than {MAX_DEPTH} levels")
         self.depth[node] = depth
-        return _shared(node)
+        return node
 
     def whole(self) -> Node:
         """The tree of the whole text."""

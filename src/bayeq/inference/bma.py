@@ -17,7 +17,7 @@ from bayeq.errors import InputError
 from bayeq.inference.collapsed.listing import ENUMERATE, ModelSet, list_models, shares
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.slab import exact_posterior
-from bayeq.inference.collapsed.tableau import active_block, drifted, flip, renew, swept
+from bayeq.inference.collapsed.tableau import active_block, move_to, swept
 from bayeq.inference.gram import GramLike
 from bayeq.inference.posterior import Averaged, Constant, Details, ModelAverage, Posterior
 from bayeq.inference.prior import Prior
@@ -60,12 +60,7 @@ def _mixture_moments(
     current = np.zeros(terms, np.bool_)
     T = swept(p, current)
     for k in range(len(models)):
-        for j in range(terms):
-            if models[k, j] != current[j]:
-                flip(p, T, j)
-                current[j] = not current[j]
-        if drifted(p, T):
-            renew(p, T, current)
+        move_to(p, T, current, models[k])
         variance = 0.5 * max(T.diagonal[terms], p.floor) / max(p.h - 1.0, 0.5)
         noise += weights[k] * variance
         for m in range(T.size[0]):

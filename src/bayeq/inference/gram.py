@@ -18,7 +18,6 @@ from numpy.typing import ArrayLike, NDArray
 from bayeq.arrays import Floats
 from bayeq.errors import InputError
 from bayeq.inference.gram_products import shifted_products
-from bayeq.kernels import kernel
 
 # Rows that are centred and multiplied at a time: large enough for BLAS, small enough for the cache.
 BLOCK_ROWS = 8192
@@ -341,51 +340,13 @@ class Moments:
         return Moments(n, self.mean + delta * (other.n / n), cross)
 
 
-@kernel
-def _column_means(D: Floats, y: Floats) -> Floats:
-    n, p = D.shape
-    mean = np.zeros(p + y.shape[1])
-    for i in range(n):
-        for j in range(p):
-            mean[j] += D[i, j]
-        for j in range(y.shape[1]):
-            mean[p + j] += y[i, j]
-    for j in range(len(mean)):
-        mean[j] /= n
-    return mean
-
-
-@kernel
-def _centre(D: Floats, y: Floats, mean: Floats, z: Floats, rest: Floats) -> None:
-    """z = [D y] - mean; the sums of z, which rounding of the mean has left, are added to `rest`."""
-    n, p = D.shape
-    for i in range(n):
-        for j in range(p):
-            value = D[i, j] - mean[j]
-            z[i, j] = value
-            rest[j] += value
-        for j in range(y.shape[1]):
-            value = y[i, j] - mean[p + j]
-            z[i, p + j] = value
-            rest[p + j] += value
-
-
-def _wide_products(D: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
-    """`shifted_products` of many columns, by BLAS."""
-    mean = _column_means(D, y)
-    z, rest = np.empty((len(D), len(mean))), np.zeros(len(mean))
-    _centre(D, y, mean, z, rest)
-    return mean, rest, z.T @ z
-
-
 def _block_moments(D: Floats, Y: Floats) -> Moments:
     """Centred co-moments of a block: products of deviations from about the mean, corrected for what that is off."""
     n = len(D)
-    D = np.ascontiguousarray(D)
-    Y = np.ascontiguousarray(Y)
-    columns = D.shape[1] + Y.shape[1]
+    if D.shape[1] + Y.shape[1] > SMALL:
+        return _weighted_moments(D, Y, np.ones(n))
     with np.errstate(over="ignore", invalid="ignore"):
-        shift, sums, cross = (shifted_products if columns <= SMALL else _wide_products)(D, Y)
+        shift, sums, cross = shifted_products(np.ascontiguousarray(D), np.ascontiguousarray(Y))
         cross -= sums[:, None] * (sums / n)
     return Moments(n, shift + sums / n, cross)
 
@@ -410,7 +371,7 @@ def _weighted_moments(D: Floats, Y: Floats, weights: Floats) -> Moments:
 def from_moments(moments: Moments, names: tuple[str, ...], targets: int) -> tuple[Gram, ...]:
     """One `Gram` per target from moments of the columns of D and the targets; all share D'D.
 
-    InputError for values that are not finite, or overflow when squared.
+    An InputError refuses values that are not finite, or overflow when squared.
     """
     squares = np.diagonal(moments.cross)
     if not np.isfinite(squares).all():
@@ -451,8 +412,8 @@ def grams_from_blocks(
 ) -> tuple[Gram, ...]:
     """One `Gram` per target from blocks of rows, in one pass; all of them share D'D.
 
-    A block is dictionary rows (m, P) and target rows (m, T), T the number of targets. InputError if there are no rows,
-    or values that are not finite or overflow when squared.
+    A block has dictionary rows (m, P) and target rows (m, T). An InputError refuses no rows at all, and values that are
+    not finite (or overflow when squared).
     """
     return _joined((_block_moments(D, Y) for D, Y in blocks if len(D)), tuple(names), targets)
 
@@ -460,10 +421,7 @@ def grams_from_blocks(
 def grams_from_data(
     D: ArrayLike, Y: ArrayLike, names: Sequence[str] | None = None, weights: ArrayLike | None = None
 ) -> tuple[Gram, ...]:
-    """One `Gram` per column of Y (n, T), all of which share D'D; otherwise as `Gram.from_data`.
-
-    InputError as `Gram.from_data`.
-    """
+    """One `Gram` per column of Y (n, T), all of which share D'D; otherwise as `Gram.from_data`."""
     D = np.asarray(D, dtype=np.float64)
     Y = np.asarray(Y, dtype=np.float64)
     if D.ndim != 2 or Y.ndim != 2 or len(D) != len(Y):
@@ -493,10 +451,9 @@ def default_names(columns: int) -> tuple[str, ...]:
 
 
 def require_squares(D: Floats, Y: Floats, diagonal: Floats, yty: Floats, names: Sequence[str]) -> None:
-    """Raise where values vary, but by too little for their squares to keep their digits.
+    """Raise an InputError that names the columns of D (n, P) and Y (n, T) whose squares are too small to keep digits.
 
-    Of rows D (n, P) and Y (n, T), and the centred sums of squares of the columns (P,) and of the targets (T,). The
-    InputError names the columns.
+    Centred sums of squares are `diagonal` (P,) and `yty` (T,).
     """
     if min(diagonal.min(initial=np.inf), yty.min(initial=np.inf)) >= LEAST_SQUARES:
         return

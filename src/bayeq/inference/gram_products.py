@@ -96,11 +96,10 @@ def _transpose(part: Floats, shift: Floats, block: Floats) -> None:
 
 @kernel
 def shifted_products(D: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
-    """Sums of products, and sums, of the columns of [D y] less some shifts.
+    """Shifts (P + T,), and sums (P + T,) and sums of products (P + T, P + T), of the columns of [D y] less these.
 
-    The shifts are the means of the first rows, so that hardly any digits are lost; a constant column is exactly zero.
-
-    Of D (n, P) and y (n, T), at least one row: shifts (P + T,), sums (P + T,) and products (P + T, P + T).
+    D is (n, P), y is (n, T), of at least one row. The shifts are the means of the first rows, so that hardly any digits
+    are lost; a constant column is exactly zero.
     """
     n, p = D.shape
     columns = p + y.shape[1]

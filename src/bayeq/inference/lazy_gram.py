@@ -26,12 +26,13 @@ class LazyGram:
 
     names: tuple[str, ...]  # the P columns
     n: float  # number of rows
-    mean: Floats  # (P,), means of D
-    target_mean: float  # mean of y
+    mean: Floats  # (P,), of D
+    target_mean: float
     data: Floats  # (n, P), centred D
-    diagonal: Floats  # (P,), centred sums of squares
-    Dty: Floats  # (P,), centred D'y
-    yty: float  # centred y'y
+    # centred sums of squares and products
+    diagonal: Floats  # (P,)
+    Dty: Floats  # (P,)
+    yty: float
     dof: float  # degrees of freedom, as in `Gram`
 
     @property
@@ -42,10 +43,6 @@ class LazyGram:
     def column(self, j: int) -> Floats:
         """Column j of D'D, (P,)."""
         return np.asarray(self.data[:, j] @ self.data)
-
-    def with_dof(self, dof: float) -> LazyGram:
-        """The same statistics with another N in the likelihood (n for the paper's convention)."""
-        return replace(self, dof=float(dof))
 
     def standardise(self, target_scale: float = 1.0) -> Standardised:
         """Eq. (32): columns of zero mean and unit standard deviation, y divided by `target_scale`."""
@@ -102,7 +99,7 @@ def grams_of(
 ) -> tuple[Gram | LazyGram, ...]:
     """The statistics of regressions of the columns of Y (n, T) on D (n, P); lazy where D is wide and P large.
 
-    InputError as `Gram.from_data`.
+    Raises as `Gram.from_data`.
     """
     rows, columns = D.shape
     if columns > rows and columns >= LEAST_COLUMNS:

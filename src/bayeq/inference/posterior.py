@@ -92,11 +92,6 @@ class ModelAverage:
     terms: NDArray[np.intp]
     covariance: Floats
 
-    def joint_inclusion(self) -> Floats:
-        """Probability that terms i and j are both in, (P, P); the diagonal holds the PIPs."""
-        weighted = self.models * self.probability[:, None]
-        return np.asarray(weighted.T @ self.models.astype(np.float64))
-
     def log_odds(self, model: Bools, others: Mapping[bytes, float]) -> list[float]:
         """Of other models against one.
 

@@ -22,7 +22,7 @@ from bayeq.arrays import Bools, Floats, Ints
 from bayeq.inference.collapsed.listing import KEEP, ModelSet, list_models
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import best_models, neighbours
-from bayeq.inference.collapsed.tableau import active_block, drifted, flip, renew, score, swept
+from bayeq.inference.collapsed.tableau import active_block, move_to, score, swept
 from bayeq.inference.prior import limited, signs_of
 from bayeq.kernels import kernel
 from bayeq.numerics.settings import INFERENCE
@@ -241,12 +241,7 @@ def _blocks(p: Problem, known: Bools, models: Bools, most: int) -> tuple[Ints, F
     current = np.zeros(models.shape[1], dtype=np.bool_)
     T = swept(p, current)
     for k in range(count):
-        for j in range(len(current)):
-            if models[k, j] != current[j]:
-                flip(p, T, j)
-                current[j] = not current[j]
-        if drifted(p, T):
-            renew(p, T, current)
+        move_to(p, T, current, models[k])
         rate[k] = max(T.diagonal[-1], p.floor)
         scores[k] = score(p, current, p.slab_variance)
         size = 0
@@ -264,25 +259,16 @@ def _blocks(p: Problem, known: Bools, models: Bools, most: int) -> tuple[Ints, F
 
 
 class Truncation:
-    """What limits do to each of K models.
+    """What limits do to each of K models."""
 
-    Attributes
-    ----------
-    terms : (K, Q) int array
-        The constrained terms of each model, followed by -1 where there are fewer.
-    turn, end : (K, Q) arrays
-        As from `orthant.faced`.
-    scores : (K,) array
-        Log posteriors up to `search.log_constant`, with 2^k but without the probability of right signs.
-    wrong : (K, Q) array
-        Probability that each coefficient is beyond its limits if they are not known; 0 at the end of `terms`.
-    needed : (K, Q) bool array
-        Limits in doubt. If there is none the truncation changes nothing.
-    log_right : (K,) array
-        ln P(all within their limits), or a bound of it from above.
-    exact : (K,) bool array
-        Where it is no bound.
-    """
+    terms: Ints  # (K, Q), the constrained terms of each model, followed by -1 where there are fewer
+    turn: Floats  # (K, Q), as `end`, from `faced`
+    end: Floats
+    scores: Floats  # (K,), log posteriors up to `search.log_constant`, with 2^k, without the probability of right signs
+    wrong: Floats  # (K, Q), probability that each is beyond its limits if they are not known; 0 at the end of `terms`
+    needed: Bools  # (K, Q), limits in doubt; if there is none the truncation changes nothing
+    log_right: Floats  # (K,), ln P(all within their limits), or a bound of it from above
+    exact: Bools  # (K,), where it is no bound
 
     def __init__(self, p: Problem, limits: Floats, models: Bools) -> None:
         self._h = p.h
@@ -294,7 +280,7 @@ class Truncation:
         self.scores += _gain(p, limits, models)
         sd = np.sqrt(np.diagonal(self._V, axis1=1, axis2=2) * (self._s / (2.0 * p.h))[:, None])
         t = np.where(active, self._mean / np.where(active, sd, 1.0), math.inf)
-        self.wrong, right = stdtr(2.0 * p.h, -t), stdtr(2.0 * p.h, t)
+        self.wrong, right = np.asarray(stdtr(2.0 * p.h, -t)), stdtr(2.0 * p.h, t)
         boxed = np.isfinite(self._width)
         if boxed.any():
             beyond = stdtr(2.0 * p.h, t[boxed] - self._width[boxed] / sd[boxed])

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.arrays import Floats
-from bayeq.likelihood.filter import Filtered, run_filter
+from bayeq.likelihood.filter import run_filter
 from bayeq.likelihood.fit import State, Statistics, adjoints, maximised, of_inputs, solved
 from bayeq.likelihood.gains import Suspect, suspects_of
 from bayeq.likelihood.levels import Levels
@@ -289,7 +289,7 @@ def chance_of(gain: float, length: float) -> float:
     memory is the likeliest too: to the normal tail at one end of its range are added the crossings of the level on the
     way to the other (Davies 1977, with the rate of Rice).
 
-    `gain` is twice the logarithm of the ratio of the likelihoods, `length` the angle that the test turns through from
+    `gain` is twice the logarithm of the ratio of the likelihoods; `length` the angle that the test turns through from
     the least memory to the most: two tests of correlation r are arccos(r) apart.
 
     Examples
@@ -389,10 +389,7 @@ def power_of(task: Task, fitted: Fitted) -> float:
         return 1.0
     found = task.marginal(fitted.state)
     root = np.linalg.cholesky(found.covariance)
-    excess, error = excess_of([_scores(one, found.delta) @ root for one in found.filtered])
+    excess, error = excess_of(
+        [np.einsum("tk,tki->ti", *one.standardised(found.delta)) @ root for one in found.filtered]
+    )
     return 1.0 / excess if excess > 1.0 + LIKELIHOOD.correlated_by * error else 1.0
-
-
-def _scores(filtered: Filtered, delta: Floats) -> Floats:
-    """Derivatives of the log likelihood of every sample by the coefficients, (n, r)."""
-    return np.asarray(np.einsum("tk,tki->ti", *filtered.standardised(delta)))

@@ -15,6 +15,9 @@ from bayeq.kernels import kernel
 from bayeq.likelihood.filter import Filtered, Noise, close, combine, multiply, padded, rows_together
 from bayeq.likelihood.linear import Linear
 
+# Directions of a matrix, as a share of the largest, that are rounding.
+SINGULAR = 1e-15
+
 
 class Adjoint(NamedTuple):
     """Derivatives of the log likelihood, and the smoothed path."""
@@ -68,7 +71,7 @@ class _Returning(NamedTuple):
         np.matmul(found.innovation[rows].reshape(-1, 1 + r), units, out=out)
         if self.mean.size:
             mean = found.mean[rows][:, self.lasting, 1:]
-            np.matmul(mean.reshape(-1, r), root, out=self.mean[:count].reshape(-1, r))
+            np.matmul(mean.reshape(-1, r), root, out=self.mean[:count].reshape(-1, columns))
 
 
 @kernel(borrowing=True)
@@ -293,7 +296,7 @@ def adjoint(
     `smoothed` for `covariance`.
     """
     (n, size), r = linear.path.shape, len(delta)
-    chains, root = len(linear.discrepancy), np.zeros((r, 0)) if V is None else _root(V)
+    chains, root = len(linear.discrepancy), np.zeros((r, 0)) if V is None else root_of(V)
     out = Adjoint(
         channels=np.zeros(len(linear.kinds)),
         courses=np.zeros(len(noise.courses)),
@@ -315,14 +318,14 @@ def adjoint(
     if V is None:
         out.channels[:], out.courses[:] = 0.0, 0.0
         return out
-    adjoints = at.work[0]
-    out.start[:] = 0.5 * ((adjoints[:, : 1 + r] ** 2).sum(axis=1) - np.diagonal(adjoints[:, 1 + r : 1 + r + size]))
+    adjoints, width = at.work[0], 1 + root.shape[1]
+    out.start[:] = 0.5 * ((adjoints[:, :width] ** 2).sum(axis=1) - np.diagonal(adjoints[:, width : width + size]))
     return out
 
 
-def _root(V: Floats) -> Floats:
-    """L with L L' = V, which may be singular."""
-    unit = np.sqrt(np.diagonal(V))
-    unit = np.where(unit > 0.0, unit, 1.0)
-    values, vectors = np.linalg.eigh(V / unit[:, None] / unit)
-    return np.asarray(unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
+def root_of(A: Floats) -> Floats:
+    """F, (p, r), of a matrix that may be singular: A = F F'."""
+    scale = np.sqrt(np.maximum(np.diagonal(A), np.finfo(np.float64).tiny))
+    squares, axes = np.linalg.eigh(A / scale[:, None] / scale)
+    kept = squares > SINGULAR * squares.max(initial=0.0)
+    return np.asarray(scale[:, None] * axes[:, kept] * np.sqrt(squares[kept]))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -180,7 +180,7 @@ def curvature(task: Task, state: State) -> Curvature:
     states = [state, *moved, *[state] * len(turning)]
     with threadpool_limits(1), ThreadPoolExecutor(cpu_count()) as pool:
         try:
-            found = list(pool.map(_slopes, tasks, states))
+            found = list(zip(*pool.map(_slopes, tasks, states), strict=True))
         finally:
             pool.shutdown(cancel_futures=True)
 
@@ -188,26 +188,21 @@ def curvature(task: Task, state: State) -> Curvature:
         moves = np.array([value - values[0] for value in values[1:]]).reshape(len(values) - 1, len(values[0]))
         return np.asarray(moves.T / (STEP * count))
 
-    spreads = by_levels([one.log_sd for one in found], 1.0)
+    spreads = by_levels(found[2], 1.0)
     return Curvature(
         moving,
         turning,
-        by_levels([one.by_candidates for one in found], task.rows),
-        by_levels([one.by_levels for one in found], task.rows)[moving],
+        by_levels(found[0], task.rows),
+        by_levels(found[1], task.rows)[moving],
         np.abs(spreads).max(axis=0, initial=0.0),
     )
 
 
-class _Slopes(NamedTuple):
-    """Slopes of the log likelihood by all candidates and levels; log standard deviations of the coefficients."""
+def _slopes(task: Task, state: State) -> tuple[Floats, Floats, Floats]:
+    """Slopes of the log likelihood by all candidates and by levels; log standard deviations of the coefficients.
 
-    by_candidates: Floats
-    by_levels: Floats
-    log_sd: Floats
-
-
-def _slopes(task: Task, state: State) -> _Slopes:
-    """The slopes, record by record, which takes little memory."""
+    Record by record, which takes little memory.
+    """
     theta, included = coefficients(task.layout, state), task.number(state.chosen)
     by_candidates, by_levels = np.zeros(len(theta)), np.zeros(len(state.levels.free))
     H = np.diag(task.precision[included])
@@ -221,22 +216,14 @@ def _slopes(task: Task, state: State) -> _Slopes:
         by_candidates += found.slope - found.information @ theta
         by_levels += score
         H += found.information[np.ix_(included, included)]
-    return _Slopes(by_candidates, by_levels, 0.5 * np.log(np.diagonal(np.linalg.inv(H))))
+    return by_candidates, by_levels, 0.5 * np.log(np.diagonal(np.linalg.inv(H)))
 
 
-class Relearned(NamedTuple):
-    """A fit with the levels of all rows."""
-
-    task: Task  # with the corners of all rows
-    state: State  # with their levels
-    quadratic: Quadratic  # the likelihood of all candidates there
-    moved: float  # how far the logarithm of a noise level, a corner or a standard deviation has moved, at most
-
-
-def relearned(task: Task, state: State, block: Block, curve: Curvature) -> Relearned:
+def relearned(task: Task, state: State, block: Block, curve: Curvature) -> tuple[Task, State, Quadratic, float]:
     """Corners from the spectra of all rows; levels by a Newton step on their likelihood, coefficients solved along.
 
-    The block is of all rows, about the task's fit; the curvature of those that were fitted.
+    The block is of all rows, about the task's fit; the curvature of those that were fitted. Also the likelihood of all
+    candidates there, and how far the logarithm of a noise level, a corner or a standard deviation has moved, at most.
     """
     layout, levels, theta = task.layout, state.levels, coefficients(task.layout, state)
     spectra = [of_segments(power, block.segments, SEGMENT) for power in block.power]
@@ -266,7 +253,7 @@ def relearned(task: Task, state: State, block: Block, curve: Curvature) -> Relea
     # those of discrepancies count by what they do
     by_levels = np.abs(np.append(moved[:count][others], by_corners)).max(initial=0.0)
     farthest = max(float(by_levels), float(curve.spreads @ np.abs(moved)))
-    return Relearned(task, replace(state, levels=levels), quadratic, farthest)
+    return task, replace(state, levels=levels), quadratic, farthest
 
 
 def _uphill(A: Floats, slope: Floats, longest: Floats) -> Floats:

@@ -205,9 +205,11 @@ def with_first_paths(motion: Motion, roles: Roles, terms: Sequence[Expression], 
         return _on_springs(motion, roles, terms, allowed)
     gains = (*motion.unit_gains[: len(roles.chains) - 1], np.ones(chain.order + 1))
     bare = replace(motion, roles=roles, unit_gains=gains)
-    rest = _rest(bare, terms, allowed, seen[0].equation)
-    shares = SHARES if rest.spring is not None else SHARES[:1]
-    return [_as_factor(bare, terms, allowed, seen[0], rest, share) for share in shares]
+    left, spring = _rest(bare, terms, allowed, seen[0].equation)
+    rests = [left]
+    if spring is not None:
+        rests = [[one + share * part for one, part in zip(left, spring, strict=True)] for share in SHARES]
+    return [_as_factor(bare, terms, allowed, seen[0], rest) for rest in rests]
 
 
 def _on_springs(motion: Motion, roles: Roles, terms: Sequence[Expression], allowed: Bools) -> list[Motion]:
@@ -241,15 +243,13 @@ def _on_springs(motion: Motion, roles: Roles, terms: Sequence[Expression], allow
     return [replace(one, roles=roles) for one in found]
 
 
-class _Rest(NamedTuple):
-    """What a regression of the smoothed rows of an equation leaves, in each record."""
+def _rest(
+    motion: Motion, terms: Sequence[Expression], allowed: Bools, c: int
+) -> tuple[list[Floats], list[Floats] | None]:
+    """What a regression of the smoothed rows of an equation leaves in each record, by terms without the hidden state.
 
-    left: list[Floats]
-    spring: list[Floats] | None  # the part of the coordinate, or of an input of a static law
-
-
-def _rest(motion: Motion, terms: Sequence[Expression], allowed: Bools, c: int) -> _Rest:
-    """The same of the terms that an equation may have without the hidden state."""
+    Also the part of the coordinate, or of an input of a static law, in what it explains.
+    """
     roles = motion.roles
     seen, hidden = roles.chains[c], set(roles.chains[-1].names)
     others = [term for term, mine in zip(terms, allowed[c], strict=True) if mine and not term.names & hidden]
@@ -269,13 +269,13 @@ def _rest(motion: Motion, terms: Sequence[Expression], allowed: Bools, c: int) -
     places = roles.inputs if seen.static else seen.names[:1]
     springs = [i for i, term in enumerate(others) if isinstance(term.tree, Symbol) and term.text in places]
     spring = max(springs, key=lambda i: abs(coef[i]) * unit[i], default=None)
-    return _Rest(left, None if spring is None else [coef[spring] * D[:, spring] for D in columns])
+    return left, None if spring is None else [coef[spring] * D[:, spring] for D in columns]
 
 
 def _as_factor(
-    motion: Motion, terms: Sequence[Expression], allowed: Bools, seen: Seen, rest: _Rest, share: float
+    motion: Motion, terms: Sequence[Expression], allowed: Bools, seen: Seen, rest: Sequence[Floats]
 ) -> Motion:
-    """The motion with the path of a state that is a factor of a term.
+    """The motion with the path of a state that is a factor of a term, from what others leave of its target.
 
     Rates are those by the likeliest candidates for its changes over the time in which it forgets, for rates of what is
     left are mostly noise.
@@ -284,8 +284,7 @@ def _as_factor(
 
     (chain,), paths = motion.roles.hidden, []
     own = [term for term, mine in zip(terms, allowed[-1], strict=True) if mine]
-    for k, rows in enumerate(motion.records):
-        left = rest.left[k] if rest.spring is None else rest.left[k] + share * rest.spring[k]
+    for rows, left in zip(motion.records, rest, strict=True):
         factor = evaluate_terms([terms[seen.term]], {**rows.columns, chain.names[0]: np.ones(rows.n)})[:, 0]
         if np.ptp(factor) > 0.0:  # zero now and then
             width = max(1, _forgotten(left) // 4)

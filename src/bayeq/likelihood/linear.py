@@ -78,8 +78,7 @@ def linearise(
     jumping = crossings(layout, series, path, layout.jumps_in(chosen)).any(axis=1)
     program, basis = layout.tape(chosen).program(), layout.terms_tape.program()
     inputs = blur.beside(series.inputs)
-    first = size + inputs.shape[1]
-    program.registers[first : first + len(theta)] = theta
+    program.registers[size + inputs.shape[1] :][: len(theta)] = theta
     steps = Steps(
         program,
         basis,
@@ -114,9 +113,10 @@ def linearise(
         seen[:, channel] = target[:, -1 - layout.kinds[channel]]
     if layout.drift:
         seen += path[:, layout.drifts]
-        kinds, gradient = _with_drifts(layout, gradient)
+        kinds, gradient = _own_rows(kinds, gradient, range(len(kinds)))
+        gradient[:, -1 - kinds, layout.drifts] = 1.0
     if layout.late:
-        kinds, gradient = _with_lags(layout, series.intervals, path, seen, kinds.copy(), gradient)
+        kinds, gradient = _with_lags(layout, series.intervals, path, seen, kinds, gradient)
     spread = path.std(axis=0)
     spread[layout.discrepancy] = target.std(axis=0)
     largest = np.maximum(transition.max(axis=0), -transition.min(axis=0))
@@ -161,16 +161,14 @@ def _hold_steps(
     return tuple(out)
 
 
-def _with_drifts(layout: Layout, gradient: Floats) -> tuple[Ints, Floats]:
-    """Kinds and gradients of channels that drift: states are rows behind those of the targets."""
-    kinds, rows = layout.kinds.copy(), [gradient]
-    for i, drift in enumerate(layout.drifts):
-        if kinds[i] < 0:
-            gradient[:, -1 - kinds[i], drift] = 1.0
-        else:
-            row = np.zeros((len(gradient), 1, layout.size))
-            row[:, :, [kinds[i], drift]] = 1.0
-            kinds[i] = -layout.chains - len(rows)
+def _own_rows(kinds: Ints, gradient: Floats, channels: Sequence[int]) -> tuple[Ints, Floats]:
+    """Kinds and gradients, with rows of their own behind the others for those of some channels that are of states."""
+    kinds, rows = kinds.copy(), [gradient]
+    for i in channels:
+        if kinds[i] >= 0:
+            row = np.zeros((len(gradient), 1, gradient.shape[2]))
+            row[:, :, kinds[i]] = 1.0
+            kinds[i] = -gradient.shape[1] - len(rows)
             rows.append(row)
     return kinds, np.concatenate(rows, axis=1)
 
@@ -179,14 +177,8 @@ def _with_lags(
     layout: Layout, intervals: Floats, path: Floats, seen: Floats, kinds: Ints, gradient: Floats
 ) -> tuple[Ints, Floats]:
     """Kinds and gradients of channels that may be late: these see x(t - lag), about x less the lag times its rate."""
-    time, rows = np.append(0.0, np.cumsum(intervals)), [gradient]
-    for i, _ in layout.late:
-        if kinds[i] >= 0:
-            row = np.zeros((len(path), 1, layout.size))
-            row[:, :, kinds[i]] = 1.0
-            kinds[i] = -gradient.shape[1] - len(rows)
-            rows.append(row)
-    gradient = np.concatenate(rows, axis=1)
+    time = np.append(0.0, np.cumsum(intervals))
+    kinds, gradient = _own_rows(kinds, gradient, [i for i, _ in layout.late])
     for (i, _), lag in zip(layout.late, layout.lags, strict=True):
         rate = spline_slopes(time, seen[:, [i]])[:, 0]
         gradient[:, -1 - kinds[i], lag] = -rate

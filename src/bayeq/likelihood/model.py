@@ -349,20 +349,16 @@ def finished(task: Task, fitted: Fitted) -> Fitted:
     return from_all_levels(task, fitted.state) if fitted.averages is None else fitted
 
 
-def roused(state: State) -> State:
-    """The state with vanishing discrepancies raised to a size that a search moves."""
-    levels = state.levels
+def with_small_discrepancy(task: Task, best: Fitted) -> Fitted:
+    """The fit, or one of the same model with some discrepancy, of a size that a search moves, and as likely."""
+    levels = best.state.levels
     hardly = levels.kappa < NOTICED
+    if not hardly.any():
+        return best
     discrepancy = np.where(hardly, NOTICED**2 * levels.target, levels.discrepancy)
     memory = np.where(hardly, ITS_MEMORY, levels.memory)
-    return replace(state, levels=replace(levels, discrepancy=discrepancy, memory=memory, hessian=None))
-
-
-def with_small_discrepancy(task: Task, best: Fitted) -> Fitted:
-    """The fit, or one of the same model with some discrepancy that is as likely or likelier."""
-    if not (best.state.levels.kappa < NOTICED).any():
-        return best
-    some = fit(task, roused(best.state), coarse=True)
+    roused = replace(levels, discrepancy=discrepancy, memory=memory, hessian=None)
+    some = fit(task, replace(best.state, levels=roused), coarse=True)
     if some.value < best.value - FLAT:
         return best
     again = fit(task, some.state)

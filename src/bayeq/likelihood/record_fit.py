@@ -423,16 +423,16 @@ def fit_record(
     conserved: Mapping[int, float] | None = None,
     others: Sequence[tuple[Motion, Sequence[Expression], Sequence[Gram]]] = (),
 ) -> RecordFit | None:
-    """Fit a dictionary to the training rows of some motion.
+    """Fit P candidates to the training rows of some motion, with time and smoothed.
 
-    Of long records the model is first looked for in stretches.
+    Of long records the model is first looked for in stretches. `log_odds`, (C, P + 1), are of each candidate, and of
+    the constant, not being zero; `grams` of the smoothed rows, one per equation; `tolerance` as in `bayeq.discover`;
+    `stated` is what is known of coefficients before; `conserved` has the factors of the states, by the number of the
+    equation, of a sum that is conserved. `others` are other first paths of hidden states, terms with the constants of
+    their laws, and Grams: searches start from each, and the likeliest fit is taken.
 
-    The motion has time, smoothed; `terms` are the P candidates, `log_odds` (C, P + 1) those of each of them, and of the
-    constant, not being zero; `grams` are of the smoothed rows, one per equation; `tolerance` is that of
-    `bayeq.discover`. `stated` is what is known of coefficients before, `conserved` the factors of the states, by the
-    number of the equation, of a sum that is conserved. `others` are other first paths of hidden states, terms with the
-    constants of their laws: searches start from each, and the likeliest fit is taken. None where the likelihood cannot
-    be evaluated: terms that are not finite beside the path, or motion that no model found stays near.
+    None where the likelihood cannot be evaluated: terms that are not finite beside the path, or motion that no model
+    found stays near.
     """
     with np.errstate(all="ignore"), suppress(np.linalg.LinAlgError):
         some, places = _stretches(motion)

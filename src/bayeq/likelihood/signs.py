@@ -55,19 +55,9 @@ def _with_values(node: Node, value_of: Callable[[Call], Node | None]) -> Node:
 
 def _mean(jump: Call, argument: Node, width: Node) -> Node:
     """Mean of a sign or a floor."""
-
-    def sign(distance: Node) -> Node:
-        return Call("tanh", (Binary("/", Binary("*", distance, number(SLOPE)), width),))
-
-    if jump.function == "sign":
-        return sign(argument)
-    nearest = _nearest(argument)
-    return Binary("-", nearest, _share(sign(Binary("-", argument, nearest)), "-"))
-
-
-def _nearest(argument: Node) -> Node:
-    """The whole number at which a floor jumps next."""
-    return Call("floor", (Binary("+", argument, number(0.5)),))
+    above, _, distance = _sides(Call(jump.function, (argument,)))
+    sign = Call("tanh", (Binary("/", Binary("*", distance, number(SLOPE)), width),))
+    return sign if jump.function == "sign" else Binary("-", above, _share(sign, "-"))
 
 
 def _sides(jump: Call) -> tuple[Node, Node, Node]:
@@ -75,7 +65,7 @@ def _sides(jump: Call) -> tuple[Node, Node, Node]:
     argument = jump.arguments[0]
     if jump.function == "sign":
         return number(1.0), number(-1.0), argument
-    nearest = _nearest(argument)
+    nearest = Call("floor", (Binary("+", argument, number(0.5)),))  # where it jumps next
     return nearest, Binary("-", nearest, number(1.0)), Binary("-", argument, nearest)
 
 

@@ -26,7 +26,7 @@ from bayeq.inference.collapsed.listing import ModelSet
 from bayeq.inference.collapsed.search import best_models, neighbours, scores_of
 from bayeq.inference.gram import Gram
 from bayeq.inference.posterior import Posterior
-from bayeq.likelihood.adjoint import Adjoint
+from bayeq.likelihood.adjoint import Adjoint, root_of
 from bayeq.likelihood.fit import Quadratic, State, adjoints, candidates, coefficients, corrections, information, solved
 from bayeq.likelihood.layout import Candidates, Layout
 from bayeq.likelihood.model import Fitted, Task, calmed, fit, over_all_sizes, with_model
@@ -44,9 +44,6 @@ ROUNDS, MOST_APART = 3, 300
 
 # Directions in which candidates hardly differ from nothing, as a share of the largest, are none.
 CUT = 1e-7
-
-# Directions of less information, as a share of the largest, are rounding.
-SINGULAR = 1e-15
 
 # Hidden candidates are monomials of this degree at most.
 MOST_DEGREE = 6
@@ -67,14 +64,6 @@ class Nearly:
     def unknown(cls, chains: int) -> Nearly:
         """Of a fit whose likelihood does not tell."""
         return cls((0.0,) * chains, (np.nan,) * chains)
-
-
-def root_of(A: Floats) -> Floats:
-    """F, (p, r), of a matrix that may be singular: A = F F'."""
-    scale = np.sqrt(np.maximum(np.diagonal(A), np.finfo(np.float64).tiny))
-    squares, axes = np.linalg.eigh(A / scale[:, None] / scale)
-    kept = squares > SINGULAR * squares[-1]
-    return np.asarray(scale[:, None] * axes[:, kept] * np.sqrt(squares[kept]))
 
 
 def softened(q: Quadratic, root: Floats, spread: Floats) -> Quadratic:
@@ -322,25 +311,17 @@ def moved_columns(task: Task, state: State, smoothed: Sequence[Adjoint], columns
 def as_fitted(found: ModelSet, task: Task, fitted: Fitted) -> ModelSet:
     """The models with the evidence of their own fit, where they were fitted."""
     fits = {fitted.model.tobytes(): fitted.evidence} | fitted.tried
-    keys, own = _keys(found.models), _key(task, fitted.model.tobytes())
-    if not (keys == own).any() or fitted.power < 1.0:
+    own = {task.narrow(np.frombuffer(wide, dtype=np.bool_)).tobytes(): value for wide, value in fits.items()}
+    places = {model.tobytes(): k for k, model in enumerate(found.models)}
+    here = places.get(task.narrow(fitted.model).tobytes())
+    if here is None or fitted.power < 1.0:
         return found
     values = found.log_posterior.copy()
-    level = values[keys == own][0] - fitted.evidence
-    for model, evidence in fits.items():
-        values[keys == _key(task, model)] = level + evidence
+    level = values[here] - fitted.evidence
+    for model, evidence in own.items():
+        if model in places:
+            values[places[model]] = level + evidence
     return _sorted(found, found.models, values)
-
-
-def _keys(models: NDArray[np.bool_]) -> NDArray[np.void]:
-    """What models (m, k) are compared by, (m,)."""
-    packed = np.packbits(models, axis=1)
-    return packed.view(np.dtype((np.void, packed.shape[1]))).ravel()
-
-
-def _key(task: Task, wide: bytes) -> np.void:
-    """The same of one model that was fitted."""
-    return _keys(task.narrow(np.frombuffer(wide, dtype=np.bool_))[None])[0]
 
 
 def among_fitted(found: ModelSet, task: Task, fitted: Fitted) -> ModelSet:
@@ -421,7 +402,9 @@ def _mixed(found: ModelSet, search: Soft, lines: dict[Sizes, float]) -> ModelSet
     sets = [search.models(tau) for tau in lines]
     models = np.concatenate([one.models for one in sets])
     values = np.concatenate([one.log_posterior + prior for one, prior in zip(sets, lines.values(), strict=True)])
-    _, first, same = np.unique(_keys(models), return_index=True, return_inverse=True)
+    packed = np.packbits(models, axis=1)
+    keys = packed.view(np.dtype((np.void, packed.shape[1]))).ravel()  # faster than by `axis`
+    _, first, same = np.unique(keys, return_index=True, return_inverse=True)
     largest = np.full(len(first), -np.inf)
     np.maximum.at(largest, same, values)
     together = largest + np.log(np.bincount(same, np.exp(values - largest[same])))

@@ -83,7 +83,7 @@ def _log_likelihood(tails: Tails, squares: Floats) -> float:
 def proportion_of(squares: Floats, readings: Floats) -> tuple[Floats, float]:
     """The likeliest variances a + b x^2 of some errors, as multiples of their mean, and that mean.
 
-    Of squares of errors and of what is measured, (n,) both.
+    Given are squares of the errors, (n,), and of what is measured, (n,).
 
     Examples
     --------

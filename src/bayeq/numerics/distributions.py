@@ -25,10 +25,10 @@ class Shape(NamedTuple):
 
 
 def shape_of(e: NDArray[np.float64], third: float = 1.0, fourth: float = 1.0) -> Shape:
-    """The shape of numbers of mean 0, beside that of a normal distribution.
+    """The shape of numbers of mean 0, (n,) and not all 0, beside that of a normal distribution.
 
-    The numbers (n,) are not all 0. `third` and `fourth` are sums of the third and fourth powers of their
-    autocorrelations over all lags (Lobato and Velasco 2004); 1 of independent ones (Jarque and Bera 1980).
+    `third` and `fourth` are sums of these powers of their autocorrelations over all lags (Lobato and Velasco 2004); 1
+    of independent ones (Jarque and Bera 1980).
     """
     second = float(np.mean(e**2))
     skewness = float(np.mean(e**3)) / second**1.5
@@ -40,7 +40,7 @@ def shape_of(e: NDArray[np.float64], third: float = 1.0, fourth: float = 1.0) ->
 def t_quantile(freedom: ArrayLike, z: float = Z95) -> NDArray[np.float64]:
     """Quantile of Student's t where the normal has its own at z, by Abramowitz and Stegun 26.7.5.
 
-    By default half the width of a 95 % interval. Degrees of freedom are 3 or more (within 1 %), infinite of the normal.
+    Of 3 degrees of freedom or more (within 1 %); infinitely many of the normal.
 
     Examples
     --------

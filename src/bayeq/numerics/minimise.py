@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 
 from bayeq.arrays import Floats
 
-# What is minimised: its value, or the value and the gradient.
-Objective = Callable[[Floats], float | tuple[float, Floats]]
+# What is minimised: its value, and the gradient.
+Objective = Callable[[Floats], tuple[float, Floats]]
 
 # Weak Wolfe conditions: the share of the decrease that the slope promises, and of the slope that may be left.
 DECREASE, SLOPE_LEFT = 1e-4, 0.9
@@ -29,19 +29,16 @@ NEAR_BOUND = 1e-3
 LEAST_CURVATURE = 1e-10
 # Decreases that may be rounding, as shares of max(1, |value|).
 ROUNDING = 1e-13
-# Steps of differences, as shares of max(1, |parameter|).
-DIFFERENCE = np.finfo(np.float64).eps ** (1.0 / 3.0)
 
 
 class Minimum(NamedTuple):
     """Where `minimise` ended."""
 
     x: Floats  # (n,), the parameters
-    value: float  # there
-    gradient: Floats  # (n,), there
+    value: float
+    gradient: Floats  # (n,)
     converged: bool  # whether the search ended because of one of its tolerances
-    evaluations: int  # points at which the function was computed, those of differences left out
-    hessian: Floats | None  # (n, n), what is known of it from the steps; None where that is nothing, and none was given
+    hessian: Floats | None  # (n, n), known of it from the steps; None where that is nothing, and none was given
 
 
 def minimise(
@@ -61,42 +58,24 @@ def minimise(
     Each step goes along ``x(t) = P(x + t d)``, P the projection onto the bounds, until it satisfies the weak Wolfe
     conditions. For the parameters that no bound holds d is a Newton step with the Hessian as BFGS updates it; each of
     the others descends by itself, so that d is a direction of descent even where P bends it. For a few parameters:
-    the Hessian is a full matrix.
+    the Hessian is a full matrix. (Bertsekas, D. P. (1982). Projected Newton methods for optimization problems with
+    simple constraints. SIAM Journal on Control and Optimization 20, 221-246.)
 
-    Parameters
-    ----------
-    fun : callable
-        Of an (n,) array within the bounds. Returns the value, or the value and its gradient; without it, differences
-        of second order are taken, 2n values for each gradient. Where the value is not finite, steps are cut.
-    start : (n,) array_like
-        Where the search starts; moved into the bounds.
-    lower, upper : (n,) array_like or float
-        Bounds, infinite where there is none. Parameters with equal bounds stay.
-    hessian : (n, n) array_like, optional
-        About what it is near the minimum; without, the first step only follows the gradient.
-    longest : (n,) array_like or float
-        How far a step goes in each parameter at most, before it is found to be too short.
-    gradient_tolerance : float
-        The search ends where the projected gradient, ``x - P(x - gradient)``, has no larger element.
-    value_tolerance : float
-        It ends too where a step decreases the value by no more than this, or than rounding.
-    most_steps : int
-        Steps at most.
+    `fun` gives the value and its gradient at an (n,) array within the bounds; where they are not finite, steps are cut.
+    The search starts at `start`, (n,), moved into the bounds `lower` and `upper`, (n,) or one for all, infinite where
+    there is none; parameters with equal bounds stay. `hessian`, (n, n), is about what it is near the minimum; without,
+    the first step only follows the gradient. A step goes at most `longest` in each parameter, (n,) or one for all,
+    before it is found to be too short.
 
-    Returns
-    -------
-    Minimum
-        The lowest point found; not converged if the start's value is not finite, no step leads down, or steps run out.
-
-    References
-    ----------
-    Bertsekas, D. P. (1982). Projected Newton methods for optimization problems with simple constraints. SIAM Journal
-    on Control and Optimization 20, 221-246.
+    The search ends where the projected gradient, ``x - P(x - gradient)``, has no element above `gradient_tolerance`,
+    where a step decreases the value by no more than `value_tolerance`, or than rounding, or after `most_steps`. It has
+    not converged if the start's value is not finite, no step leads down, or steps run out.
 
     Examples
     --------
     >>> def rosenbrock(x):
-    ...     return (1 - x[0]) ** 2 + 100 * (x[1] - x[0] ** 2) ** 2
+    ...     bent = x[1] - x[0] ** 2
+    ...     return (1 - x[0]) ** 2 + 100 * bent**2, np.array([2 * (x[0] - 1) - 400 * x[0] * bent, 200 * bent])
     >>> minimise(rosenbrock, [-1.2, 1.0]).x.round(4)
     array([1., 1.])
     >>> minimise(rosenbrock, [-1.2, 1.0], upper=[0.5, 2.0]).x.round(4)
@@ -104,9 +83,9 @@ def minimise(
     """
     at = np.array(start, dtype=np.float64)
     box = _Box(np.broadcast_to(lower, at.shape).astype(np.float64), np.broadcast_to(upper, at.shape).astype(np.float64))
-    counted, limit = _Counted(fun, box), np.broadcast_to(longest, at.shape).astype(np.float64)
+    limit = np.broadcast_to(longest, at.shape).astype(np.float64)
     known = None if hessian is None else np.asarray(hessian, dtype=np.float64)
-    here = counted(box.project(at))
+    here = _at(fun, box.project(at))
     learnt, converged = None, False
     for _ in range(most_steps if here.finite else 0):
         left = box.projected(here)
@@ -116,7 +95,7 @@ def minimise(
         fresh = np.eye(len(at)) * (float(np.linalg.norm(left)) / FIRST_STEP) if known is None else known
         step = box.direction(here, fresh if learnt is None else learnt)
         step *= np.min(limit / np.maximum(np.abs(step), np.finfo(np.float64).tiny), initial=1.0)
-        there = _search(counted, box, here, step)
+        there = _search(fun, box, here, step)
         if there is None and learnt is None:
             break
         if there is None:
@@ -128,9 +107,7 @@ def minimise(
         here = there
         if converged:
             break
-    return Minimum(
-        here.x, here.value, here.gradient, converged, counted.evaluations, known if learnt is None else learnt
-    )
+    return Minimum(*here, converged, known if learnt is None else learnt)
 
 
 class _Point(NamedTuple):
@@ -169,42 +146,12 @@ class _Box(NamedTuple):
         return out
 
 
-class _Counted:
-    """The function with its gradient, counted."""
-
-    def __init__(self, fun: Objective, box: _Box) -> None:
-        self.fun, self.box, self.evaluations = fun, box, 0
-
-    def __call__(self, x: Floats) -> _Point:
-        self.evaluations += 1
-        found = self.fun(x)
-        if isinstance(found, tuple):
-            return _Point(x, float(found[0]), np.asarray(found[1], dtype=np.float64))
-        return _Point(x, float(found), self._differences(x, float(found)))
-
-    def _differences(self, x: Floats, value: float) -> Floats:
-        """Gradient by central differences, by one-sided ones of the same order next to a bound."""
-        gradient = np.zeros(len(x))
-        room = self.box.upper - self.box.lower
-        for i in map(int, np.flatnonzero(room > 0)):
-            h = min(DIFFERENCE * max(1.0, abs(x[i])), room[i] / 4)
-            side = 1.0 if x[i] - h < self.box.lower[i] else -1.0 if x[i] + h > self.box.upper[i] else 0.0
-            if side:
-                one, two = self._moved(x, i, side * h), self._moved(x, i, 2 * side * h)
-                gradient[i] = side * (4 * one - two - 3 * value) / (2 * h)
-            else:
-                gradient[i] = (self._moved(x, i, h) - self._moved(x, i, -h)) / (2 * h)
-        return gradient
-
-    def _moved(self, x: Floats, i: int, by: float) -> float:
-        moved = x.copy()
-        moved[i] += by
-        found = self.fun(moved)
-        assert not isinstance(found, tuple)
-        return float(found)
+def _at(fun: Objective, x: Floats) -> _Point:
+    value, gradient = fun(x)
+    return _Point(x, float(value), np.asarray(gradient, dtype=np.float64))
 
 
-def _search(counted: _Counted, box: _Box, here: _Point, direction: Floats) -> _Point | None:
+def _search(fun: Objective, box: _Box, here: _Point, direction: Floats) -> _Point | None:
     """A point on the projected path with a sufficient decrease; None if there is none.
 
     The step is cut by quadratic interpolation where the decrease does not suffice, and grows where the slope along the
@@ -218,7 +165,7 @@ def _search(counted: _Counted, box: _Box, here: _Point, direction: Floats) -> _P
         if not promised < 0:
             # steps have become as small as rounding
             break
-        there = counted(x)
+        there = _at(fun, x)
         if not (there.finite and there.value <= here.value + DECREASE * promised):
             excess = there.value - here.value - promised
             cut = min(0.5, max(LEAST_CUT, -0.5 * promised / excess)) if there.finite else LEAST_CUT

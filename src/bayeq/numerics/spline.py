@@ -40,16 +40,10 @@ def _solve(steps: Floats, secants: Floats, slopes: Floats) -> None:
 
 
 def spline_slopes(time: Floats, samples: Floats) -> Floats:
-    """Slopes of the cubic splines through samples.
+    """Slopes (n, m) of the cubic splines through samples (n, m) of m channels at n > 1 times, (n,), that increase.
 
-    Its third derivative is continuous at the second and the last but one sample ("not a knot"). Three samples have a
-    parabola, two a straight line.
-
-    First derivatives (n, m) at the samples (n, m) of m channels; time (n,) increases, n > 1.
-
-    References
-    ----------
-    de Boor, C. (1978). A Practical Guide to Splines. Springer, chapter IV.
+    The third derivative is continuous at the second and the last but one sample ("not a knot"; de Boor, C. (1978), A
+    Practical Guide to Splines, Springer, chapter IV). Three samples have a parabola, two a straight line.
 
     Examples
     --------

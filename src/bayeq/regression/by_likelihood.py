@@ -49,7 +49,6 @@ class RecordRegression(Regression):
 
     @property
     def exact(self) -> float:
-        """As of `Regression`."""
         return self.record.nearly.exact[self.k]
 
     @property
@@ -60,28 +59,23 @@ class RecordRegression(Regression):
 
     @property
     def suspect(self) -> Suspect | float | None:
-        """As of `Regression`."""
         adequacy, channels = self.record.adequacy, [name for name in self.chain.measured if name is not None]
         return adequacy.suspect([*channels, *self.motion.roles.inputs]) or adequacy.filtered(channels)
 
     @property
     def tau(self) -> float:
-        """As of `Regression`."""
         return self.record.nearly.tau[self.k]
 
     @property
     def constants(self) -> tuple[ConstantEstimate, ...]:
-        """As of `Regression`."""
         return self.record.constants(self.k, self.power)
 
     @property
     def forms(self) -> Forms:
-        """As of `Regression`."""
         return self.record.forms
 
     @property
     def discrepancy(self) -> float | None:
-        """As of `Regression`."""
         return float(self.record.kappa[self.k])
 
     @property
@@ -90,19 +84,16 @@ class RecordRegression(Regression):
         return self.chain.measured[-1] is None
 
     def tests(self) -> tuple[Discrepancy | None, Octave | None, Change | None]:
-        """As of `Regression`."""
         adequacy = self.record.adequacy
         channels = [name for name in self.chain.measured if name is not None]
         return adequacy.lacks(self.k), adequacy.coloured(channels), adequacy.changing(self.k)
 
     @property
     def shape(self) -> Shape | None:
-        """As of `Regression`."""
         shapes = [self.record.adequacy.shapes[name] for name in self.chain.measured if name is not None]
         return min(shapes, key=lambda one: one.normality) if shapes else None
 
     def hides_noise(self, name: str) -> bool:
-        """As of `Regression`."""
         return name not in self.record.inputs_of_known_noise
 
     def thinned(self) -> Regression:
@@ -189,13 +180,11 @@ REPEATED = 0.1
 
 
 def calibrated(regression: Regression, posterior: Posterior, basis: Floats) -> Posterior:
-    """The posterior with the uncertainty of the sensors' calibration in its covariances.
+    """The posterior, in original units, with the uncertainty of the sensors' calibration in its covariances.
 
-    With another factor of a channel the coefficients that explain the same motion are others: to first order their
-    change is the regression, on the terms, of what the factor changes of the target and of the terms.
-
-    The training rows are the motion; the posterior is in original units, r terms in its support; `basis` (r, f) is how
-    the coefficients move with those that are free, the identity where all are.
+    With another factor of a channel the coefficients that explain the same motion, that of the training rows, are
+    others: to first order their change is the regression, on the terms, of what the factor changes of the target and of
+    the terms. By `basis`, (r, f), the r coefficients of the support move with those that are free.
     """
     names, known = regression.factors
     kept = np.flatnonzero(posterior.support)
@@ -269,7 +258,7 @@ def changes_by_noise(
     """What noise of an input, as shares of its standard deviation, would have done to coefficients that neglect it.
 
     Noise adds to the sums of squares of the terms that the input is in. Without that share of them the coefficients
-    would be others. By each term of the posterior with the input: the relative error of its coefficient at each share.
+    would be others: of each term of the posterior with the input, the relative error of its coefficient at each share.
     """
     spread = float(np.std(np.concatenate([rows.columns[name] for rows in regression.motion.train])))
 

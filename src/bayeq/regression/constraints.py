@@ -175,16 +175,16 @@ def parse_constraints(
     dropped: Mapping[str, str] | None = None,
     allowed: Bools | None = None,
 ) -> tuple[Constraints, ...]:
-    """Read constraints; nothing in them is evaluated as code.
+    """Read the constraints of each target; nothing in them is evaluated as code.
 
-    Linear equations between coefficients are ``"u == 1"``, ``"x*abs(x) == 0.5*x**3"``, ``"x + 2*v == 3"``; the sign of
-    one ``"v <= 0"``, ``"x**3 > 0"`` (``<`` and ``<=`` mean the same); bounds of one ``"0 <= x**3 <= 5"``; one that was
-    measured before, with its standard deviation, ``"u ~ 0.1 +- 0.001"``. ``"a: v <= 0"`` and ``"0 <= a: x**3 <= 5"``
-    concern the equation of target a only, others every equation.
+    ``"u == 1"``, ``"x*abs(x) == 0.5*x**3"``, ``"x + 2*v == 3"``: linear equations between coefficients; ``"v <= 0"``,
+    ``"x**3 > 0"``: the sign of one (``<`` and ``<=`` mean the same); ``"0 <= x**3 <= 5"``: bounds of one;
+    ``"u ~ 0.1 +- 0.001"``: one that was measured before, with its standard deviation. ``"a: v <= 0"`` and
+    ``"0 <= a: x**3 <= 5"`` concern the equation of target a only, others concern every equation.
 
-    There are P candidates; those that were `dropped` have a reason each; `allowed` (C, P) are the candidates of each
-    equation, by default all. InputError for malformed text, a term that is not a candidate, or not one of the equation
-    that is named; equations, signs or bounds that contradict each other.
+    `dropped` are candidates that were left out, each with the reason; `allowed`, (C, P), the candidates of each
+    equation, by default all. An InputError refuses malformed text, a term that is not a candidate, or not one of the
+    equation that is named, and equations, signs or bounds that contradict each other.
 
     Examples
     --------

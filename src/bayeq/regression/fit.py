@@ -118,13 +118,13 @@ def fit_regression(
     tolerance: float | None = None,
     seed: tuple[int, ...] = (0,),
 ) -> RegressionFit:
-    """Posterior of one equation.
+    """Posterior of one equation by a row of `bayeq.inference.engines.ENGINES`.
 
-    Equalities are taken out before inference; signs and bounds go into the prior, which is on standardised columns, the
-    target in units of the least-squares residual: by default p_0 = 0.1 and a slab variance v_s that maximises the
-    evidence, at least 10. The likelihood is raised to the power `coarsen`, above 0 and at most 1; `tolerance` is the
-    size of what the terms may lack beside the likelihood of rows (`bayeq.likelihood.spike`); engines that draw random
-    numbers have the seed.
+    Equalities are taken out before inference; signs and bounds go into the prior. That is on standardised columns, the
+    target in units of the least-squares residual; by default p_0 = 0.1 and a slab variance v_s that maximises the
+    evidence, at least 10. The likelihood is raised to the power `coarsen`, above 0 and at most 1. Beside that of rows
+    the terms may lack something of size `tolerance` (`bayeq.likelihood.spike`). `seed` is that of engines that draw
+    random numbers.
     """
     regression = regression.raised(coarsen)
     reduced = constraints.reduce(regression.gram)
@@ -145,10 +145,9 @@ MOST_MODELS = 300
 def mixture_of(fit: RegressionFit, reported: Posterior, struck: Bools | None = None) -> Mixture | None:
     """The P coefficients over models, in original units, and after them the intercept, which is in all models.
 
-    The fit has the models that were averaged over, or draws. What is reported is of one model, by the likelihood of the
-    record by projection: its terms differ in other models by the same factor and change. Terms that are `struck` (F,)
-    are taken out of every model, the others estimated again. None where no models are averaged, or none are listed that
-    terms could be taken out of.
+    `reported` is the posterior of one model, as it is reported: by the likelihood of the record by projection. Its
+    terms differ in other models by the same factor and change. Terms `struck`, (F,), are taken out of every model, the
+    others estimated again. None where no models are averaged, or none are listed that terms could be taken out of.
     """
     posterior, average, draws = fit.posterior, fit.posterior.average, fit.posterior.draws
     again = struck is not None and bool(struck.any())

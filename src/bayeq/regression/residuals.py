@@ -31,43 +31,21 @@ LEAST_CORRELATION = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """How well an equation gives the target on some rows.
+    """How well an equation gives the target on some rows."""
 
-    Attributes
-    ----------
-    n : int
-        Rows.
-    r2 : float
-        Share of the target's variance explained.
-    nrmse : float
-        Root mean squared error over the standard deviation of the target.
-    """
-
-    n: int
-    r2: float
-    nrmse: float
+    n: int  # rows
+    r2: float  # share of the target's variance explained
+    nrmse: float  # root mean squared error over the standard deviation of the target
 
 
 @dataclass(frozen=True, slots=True)
 class Driver:
-    """The channel that residuals follow most.
+    """The channel that residuals follow most."""
 
-    Attributes
-    ----------
-    name : str
-        An input or a state.
-    lag : int
-        Rows by which the residuals come after it.
-    correlation : float
-        Cross-correlation at that lag.
-    p_value : float
-        Probability of one so large, at any lag of any of the channels, if the residuals had nothing to do with them.
-    """
-
-    name: str
-    lag: int
-    correlation: float
-    p_value: float
+    name: str  # an input or a state
+    lag: int  # rows by which the residuals come after it
+    correlation: float  # cross-correlation at that lag
+    p_value: float  # probability of one so large, at any lag of any channel, if residuals had nothing to do with them
 
     def __str__(self) -> str:
         when = "" if not self.lag else f" {abs(self.lag)} rows {'before' if self.lag > 0 else 'after'}"
@@ -76,33 +54,18 @@ class Driver:
 
 @dataclass(frozen=True, slots=True)
 class Residuals:
-    """What residuals of an adequate model do not have: memory, a shape of their own, or a channel that they follow.
+    """What residuals of an adequate model do not have: memory, a shape of their own, or a channel that they follow."""
 
-    Attributes
-    ----------
-    n : int
-        Rows.
-    lag1 : float
-        Autocorrelation at lag 1.
-    n_eff : float
-        Effective sample size n / (1 + 2 sum rho_k), the sum over the lags up to the first rho_k <= 0.
-    skewness, kurtosis, normality : float
-        See `bayeq.numerics.distributions.Shape`. By the likelihood of the record they are those of the standardised
-        innovations of the channel of the chain that is least normal: residuals may be larger here than there.
-    driver : Driver or None
-        The input or state that they follow most, where channels were given.
-    discrepancy : float or None
-        Of the likelihood of the record: standard deviation of what the dictionary does not hold, as a share of the
-        target's.
-    """
-
-    n: int
-    lag1: float
-    n_eff: float
+    n: int  # rows
+    lag1: float  # autocorrelation at lag 1
+    n_eff: float  # effective sample size n / (1 + 2 sum rho_k), the sum over the lags up to the first rho_k <= 0
+    # as in `bayeq.numerics.distributions.Shape`; by the likelihood of the record those of the standardised innovations
+    # of the channel of the chain that is least normal: residuals may be larger here than there
     skewness: float = 0.0
     kurtosis: float = 0.0
     normality: float = 1.0
-    driver: Driver | None = None
+    driver: Driver | None = None  # the input or state that they follow most, where channels were given
+    # of the likelihood of the record: standard deviation of what the dictionary does not hold, a share of the target's
     discrepancy: float | None = None
 
     @property
@@ -121,9 +84,9 @@ class Residuals:
 
 
 def inspect_residuals(pieces: Sequence[Floats], channels: Mapping[str, Sequence[Floats]] | None = None) -> Residuals:
-    """Correlation and shape of residuals that come in one or more uninterrupted pieces.
+    """Correlation and shape of residuals that come in one or more uninterrupted pieces, (n,) each.
 
-    Pieces are (n,) each; the channels are inputs and states in the same pieces, which the residuals should not follow.
+    `channels` are inputs and states in the same pieces, which the residuals should not follow.
 
     Examples
     --------

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -132,14 +131,12 @@ def simulate(
     )
 
 
-@lru_cache(maxsize=64)
 def _parsed(system: System) -> dict[str, Expression]:
     """State -> right-hand side."""
     known = [*system.states, *system.inputs, *system.parameters]
     return {state: parse(text, known) for state, text in system.rhs.items()}
 
 
-@lru_cache(maxsize=64)
 def _tape(system: System) -> Tape:
     """The right-hand side in states, inputs and parameters, so that parameters change without compiling."""
     return Tape.compile(_parsed(system).values(), [*system.states, *system.inputs, *system.parameters])

@@ -113,8 +113,8 @@ class Whole:
         block = self._fold(work, units, stage, about)
         if not block.samples:  # nothing that moves anything
             return at.of_more(task, state, block.quadratic, block), block, 0.0
-        found = relearned(task, state, block, curve)
-        return at.of_more(found.task, found.state, found.quadratic, block), block, found.moved
+        task, state, quadratic, moved = relearned(task, state, block, curve)
+        return at.of_more(task, state, quadratic, block), block, moved
 
     def _warn(self, block: Block, motion: Motion, log: WarningLog) -> None:
         """Warn of rows that the likelihood of all rows does not hold, and of samples that are missing or were bad."""

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from bayeq.arrays import Bools, Floats, Ints
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import best_models
-from bayeq.inference.collapsed.tableau import Tableau, drifted, flip, flip_gains, renew, score, swap_gains, swept
+from bayeq.inference.collapsed.tableau import flip_gains, move_to, score, swap_gains, swept
 from bayeq.kernels import kernel
 
 # Up to this many free terms all models are enumerated.
@@ -63,18 +63,13 @@ class ModelSet:
     # the listing needs all of their combinations.
     inclusion: Floats | None = None
 
-    @property
-    def listed(self) -> Floats:
-        """Inclusion probabilities within the set, (P,)."""
-        return np.minimum(shares(self.models, self.weights), 1.0)
-
     def pip(self, tolerance: float) -> tuple[Floats, bool]:
         """Inclusion probabilities, (P,), and whether they are known to a tolerance.
 
         Where the set leaves out more than the tolerance they are the average of those given the other terms, and known
         if the set itself says the same: two estimates of one number, of which this is the better one.
         """
-        listed = self.listed
+        listed = np.minimum(shares(self.models, self.weights), 1.0)
         if self.left_out <= tolerance * (1.0 + 1e-9) or self.inclusion is None:
             return listed, self.left_out <= tolerance * (1.0 + 1e-9)
         return self.inclusion, bool(np.abs(self.inclusion - listed).max() <= tolerance)
@@ -219,17 +214,6 @@ def _include(gains: Floats, current: Bools, weight: float, inclusion: Floats) ->
             inclusion[j] += weight
 
 
-@kernel(borrowing=True)
-def _move(p: Problem, T: Tableau, current: Bools, model: Bools) -> None:
-    """Brings the tableau from one model to another."""
-    for j in range(len(current)):
-        if model[j] != current[j]:
-            flip(p, T, j)
-            current[j] = model[j]
-    if drifted(p, T):
-        renew(p, T, current)
-
-
 @kernel
 def _search(
     p: Problem,
@@ -266,7 +250,7 @@ def _search(
             break
         item = _pop(heap, counts[1], scores)
         counts[1] -= 1
-        _move(p, T, current, models[item])
+        move_to(p, T, current, models[item])
         spent, found = math.exp(scores[item] - reference), 0.0
         frontier -= spent
         expanded += 1

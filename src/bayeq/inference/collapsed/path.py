@@ -11,20 +11,16 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from bayeq.arrays import Bools, Floats, Ints
+from bayeq.arrays import Bools, Floats
 from bayeq.errors import InputError, whole_number
-from bayeq.inference.collapsed.listing import model_scores
+from bayeq.inference.collapsed.listing import ENUMERATE, model_scores
 from bayeq.inference.collapsed.problem import Problem
-from bayeq.inference.collapsed.search import best_models, log_constant, scores_of
-from bayeq.inference.collapsed.tableau import MOST_ACTIVE, flip_gains, swap_gains, swept
+from bayeq.inference.collapsed.search import STAY, best_models, explore, log_constant, scores_of
+from bayeq.inference.collapsed.tableau import MOST_ACTIVE
 from bayeq.inference.gram import Gram
-from bayeq.kernels import kernel
 
 # Number of terms up to which a path goes by default, three times as many as equations of motion usually have.
 DEFAULT_MOST = 12
-
-# Up to this number of free terms all models are evaluated (2^14 of them take some milliseconds).
-ENUMERATE = 14
 
 # Models of each size whose neighbours are evaluated: of 5,500 sizes of hard problems 20 missed none, 6 missed three.
 WIDTH = 20
@@ -113,19 +109,6 @@ def _by_enumeration(problem: Problem, sizes: range) -> list[Bools]:
     return out
 
 
-@kernel
-def _neighbours(p: Problem, active: Bools) -> tuple[Floats, Floats]:
-    """Gains of flips (P,), and of swaps of each active term for each other one (r, P)."""
-    T = swept(p, active)
-    flips = np.empty(len(active))
-    flip_gains(p, T, flips)
-    index = np.flatnonzero(active)
-    swaps = np.empty((len(index), len(active)))
-    for a in range(len(index)):
-        swap_gains(p, T, index[a], swaps[a])
-    return flips, swaps
-
-
 class _Pool:
     """The best few models of one size, and which of them have been expanded."""
 
@@ -166,8 +149,8 @@ def _by_search(problem: Problem, sizes: range, starts: Iterable[Bools], limits: 
                 pools[size].add(active, float(_scores(problem, active[None, :], limits)[0]))
             if size == sizes.start:
                 break
-            flips, _ = _neighbours(problem, active)
-            active[np.argmax(np.where(active, flips, -math.inf))] = False
+            out, into, gains = explore(problem, active[None].copy(), STAY, math.inf)[1]
+            active[out[np.argmax(np.where(into < 0, gains, -math.inf))]] = False
             size -= 1
     while True:
         # the smallest first: they are the cheapest, and their neighbours improve the larger ones
@@ -182,34 +165,20 @@ def _expand(problem: Problem, limits: Floats | None, pools: dict[int, _Pool], si
     pools[size].expanded.add(key)
     active = np.frombuffer(key, dtype=np.bool_)
     here = pools[size].scores[key]
-    flips, swaps = _neighbours(problem, active)
-    index = np.flatnonzero(active)
-    for other, gains in (
-        (size + 1, np.where(active, -math.inf, flips)[None, :]),
-        (size - 1, np.where(active, flips, -math.inf)[None, :]),
-        (size, swaps),
-    ):
+    out, into, gains = explore(problem, active[None].copy(), STAY, math.inf)[1]
+    for other in (size + 1, size - 1, size):
         if other not in pools:
             continue
-        leaves, enters = _largest(gains, WIDTH if limits is None else None)
-        models = np.repeat(active[None, :], len(enters), axis=0)
-        row = np.arange(len(enters))
-        models[row, enters] ^= True
-        if other == size:
-            models[row, index[leaves]] = False
-        values = here + gains[leaves, enters] if limits is None else _scores(problem, models, limits)
+        moves = np.flatnonzero((into >= 0) * 1 - (out >= 0) * 1 == other - size)
+        if limits is None and len(moves) > WIDTH:
+            moves = moves[np.argpartition(-gains[moves], WIDTH)[:WIDTH]]
+        models = np.repeat(active[None, :], len(moves), axis=0)
+        for terms, inside in ((out[moves], False), (into[moves], True)):
+            rows = np.flatnonzero(terms >= 0)
+            models[rows, terms[rows]] = inside
+        values = here + gains[moves] if limits is None else _scores(problem, models, limits)
         for model, value in zip(models, values, strict=True):
             pools[other].add(model, float(value))
-
-
-def _largest(gains: Floats, most: int | None) -> tuple[Ints, Ints]:
-    """Rows and columns of the largest finite gains, of at most `most` of them."""
-    flat = gains.ravel()
-    chosen = np.flatnonzero(np.isfinite(flat))
-    if most is not None and len(chosen) > most:
-        chosen = chosen[np.argpartition(-flat[chosen], most)[:most]]
-    rows, columns = np.unravel_index(chosen, gains.shape)
-    return np.asarray(rows), np.asarray(columns)
 
 
 def partial_shares(gram: Gram, active: Bools) -> Floats:

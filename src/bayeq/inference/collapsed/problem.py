@@ -63,27 +63,18 @@ def fetch(columns: Columns, j: int) -> None:
     columns.used[0] = used
 
 
-def gram_row(columns: Columns, j: int) -> Floats:
-    """Row j of D'D."""
-    if columns.slot[j] < 0:
-        fetch(columns, j)
-    row: Floats = columns.rows[columns.slot[j]]
-    return row
+def gram_block(columns: Columns, index: Ints) -> Floats:
+    """D'D of some terms, (r, r)."""
+    for j in index:
+        # what is missing may come with a row before it
+        if columns.slot[j] < 0:
+            fetch(columns, int(j))
+    return columns.rows[np.ix_(columns.slot[index], index)]
 
 
 def all_rows(columns: Columns) -> Floats:
     """D'D as one array, (P, P)."""
-    for j in np.flatnonzero(columns.slot < 0):
-        fetch(columns, int(j))
-    return columns.rows[columns.slot]
-
-
-def gram_block(columns: Columns, index: Ints) -> Floats:
-    """D'D of some terms, (r, r)."""
-    out = np.empty((len(index), len(index)))
-    for a, j in enumerate(index):
-        out[a] = gram_row(columns, int(j))[index]
-    return out
+    return gram_block(columns, np.arange(len(columns.slot)))
 
 
 def gram_columns(gram: GramLike) -> Columns:

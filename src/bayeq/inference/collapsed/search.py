@@ -87,11 +87,6 @@ def log_constant(problem: Problem) -> float:
     )
 
 
-def log_evidence(problem: Problem, active: Bools) -> float:
-    """ln p(y, z) of one model: eq. (34) plus the log prior of z."""
-    return float(scores_of(problem, active[None, :])[0]) + log_constant(problem)
-
-
 def best_models(problem: Problem) -> list[tuple[float, Bools]]:
     """Distinct local optima of ln p(y, z) under flips and swaps from `default_starts`, best first.
 

@@ -228,6 +228,17 @@ def drifted(p: Problem, T: Tableau) -> bool:
     return strayed(p.columns, p.Dty, p.yty + 2.0 * p.noise_rate, ridges, p.floor, T)
 
 
+@kernel(borrowing=True)
+def move_to(p: Problem, T: Tableau, current: Bools, model: Bools) -> None:
+    """Bring the tableau of one model to another, and `current` with it."""
+    for j in range(len(current)):
+        if model[j] != current[j]:
+            flip(p, T, j)
+            current[j] = model[j]
+    if drifted(p, T):
+        renew(p, T, current)
+
+
 @kernel
 def active_block(T: Tableau, index: Ints) -> Floats:
     """A^-1 of the active terms `index`, (r, r)."""

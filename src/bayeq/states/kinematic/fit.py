@@ -14,7 +14,7 @@ from bayeq.errors import ConvergenceWarning, InputError
 from bayeq.numerics.minimise import minimise
 from bayeq.numerics.settings import STATES
 from bayeq.states.kinematic.kalman import LONG_GAP
-from bayeq.states.kinematic.smoother import ChainSeries, KinematicModel, Rows, Sizes, check_order, prepare, sizes_of
+from bayeq.states.kinematic.smoother import ChainSeries, KinematicModel, Rows, Sizes, prepare, sizes_of
 
 # Fewer samples than this say nothing about the noise of a channel.
 LEAST_SAMPLES = 10
@@ -62,8 +62,8 @@ def fit_kinematic(
 
     The `order` m, from K+1 to K+4 for a chain of K derivatives, and known standard deviations of the noise of each
     derivative, `noise_sd`, may be given; with `doubts` a warning says that noise levels may be off. Log-likelihood and
-    leave-one-out density of the model are those of the rows used. An InputError refuses no records, records of
-    different chains, fewer than 10 samples of a channel, a constant channel, and arguments out of range.
+    leave-one-out density of the model are those of the rows used. An InputError refuses fewer than 10 samples of a
+    channel, a constant channel, and noise that is not positive.
 
     Examples
     --------
@@ -79,7 +79,7 @@ def fit_kinematic(
     True
     """
     series = list(series)
-    known = _known(series, order, noise_sd)
+    known = _known(len(series[0].channels), noise_sd)
     for k in {k for s in series for k in s.measured if np.isnan(known[k])}:
         _require_noisy(series, k)
     sizes = sizes_of(series, least=noise_sd)
@@ -96,24 +96,12 @@ def fit_kinematic(
     return _best_order(fitted, highest + FIRST_EXTRA, range(highest + 1, highest + 1 + STATES.most_extra))
 
 
-def _known(series: Sequence[ChainSeries], order: int | None, noise_sd: Sequence[float | None] | None) -> Floats:
-    """The noise levels that are given, NaN where they are not; raises for arguments that do not fit."""
-    if not series:
-        raise InputError("no records to estimate noise levels from")
-    derivatives = len(series[0].channels)
-    if any(len(s.channels) != derivatives for s in series):
-        raise InputError("the records are of chains of different orders")
-    if order is not None:
-        check_order(order, derivatives)
-    given = [None] * derivatives if noise_sd is None else list(noise_sd)
-    if len(given) != derivatives:
-        raise InputError(f"noise_sd needs {derivatives} values, None where unknown, not {len(given)}")
-    measured = {k for s in series for k in s.measured}
+def _known(derivatives: int, noise_sd: Sequence[float | None] | None) -> Floats:
+    """The noise levels that are given, NaN where they are not."""
+    given = [None] * derivatives if noise_sd is None else noise_sd
     for k, sd in enumerate(given):
         if sd is not None and not 0 < sd < math.inf:
             raise InputError(f"the noise of derivative {k} must be positive and finite, not {sd!r}")
-        if sd is not None and k not in measured:
-            raise InputError(f"noise_sd gives the noise of derivative {k}, which no record measures")
     return np.array([math.nan if sd is None else sd for sd in given], dtype=np.float64)
 
 

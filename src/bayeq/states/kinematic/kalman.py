@@ -185,23 +185,23 @@ def _width(S: Floats, k: int) -> float:
 
 
 @kernel
-def _all_present(present: Bools, t: int) -> bool:
-    samples = 0
-    for j in range(present.shape[1]):
-        samples += present[t, j]
-    return samples == present.shape[1]
-
-
-@kernel
 def filter_gains(
-    steps: Floats, present: Bools, orders: Ints, variances: Floats, noise: Floats, start: Floats, tables: Tables
+    steps: Floats,
+    present: Bools,
+    regular_rows: Bools,
+    orders: Ints,
+    variances: Floats,
+    noise: Floats,
+    start: Floats,
+    tables: Tables,
 ) -> tuple[int, int, float]:
     """Gains of the filter of a record; the state is zero before the first row.
 
     `steps`, (n,), are those before each row in regular steps, exactly 1 where regular; the first is not used. There is
-    a sample of channel j, derivative orders[j], where `present`, (n, c); `variances`, (c,), are of its noise. `noise`
-    is the lower root of Qd over a regular step, `start` has standard deviations of the state before the first row on
-    the diagonal. `tables`, with zeros in gains and inverse, are filled, but for innovations and means.
+    a sample of channel j, derivative orders[j], where `present`, (n, c); `regular_rows`, (n,), have all of them after a
+    regular step; `variances`, (c,), are of its noise. `noise` is the lower root of Qd over a regular step, `start` has
+    standard deviations of the state before the first row on the diagonal. `tables`, with zeros in gains and inverse,
+    are filled, but for innovations and means.
 
     Returns how many entries were filled; that of the settled rows, -1 if none have settled; and the sum of the
     logarithms of the innovations' variances.
@@ -217,7 +217,7 @@ def filter_gains(
     settled, run, blank = False, 0, 0.0
     for t in range(n):
         anew[t] = t == 0
-        regular = t > 0 and steps[t] == 1.0 and _all_present(present, t)
+        regular = t > 0 and regular_rows[t]
         if regular and settled:
             index[t] = steady
             log_determinant += steady_log

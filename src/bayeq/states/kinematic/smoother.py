@@ -10,14 +10,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bayeq.arrays import Floats
 from bayeq.errors import InputError
-from bayeq.numerics.settings import STATES
 from bayeq.records.validate import is_step
 from bayeq.states.kinematic.kalman import Tables, filter_gains, filter_means, score, smooth
 
@@ -106,10 +104,7 @@ class ChainSeries:
 
 @dataclass(frozen=True, slots=True)
 class KinematicModel:
-    """A coordinate q whose m-th derivative is white noise, and white noise on each of its channels.
-
-    An InputError refuses an order that does not suit the chain, and values that are not positive.
-    """
+    """A coordinate q whose m-th derivative is white noise, and white noise on each of its channels."""
 
     order: int  # m; the state is q, q', ..., q^(m-1)
     # Q of the driving noise: the variance of q^(m-1) grows by Q t in a time t [unit of q squared per s^(2m-1)]
@@ -120,26 +115,6 @@ class KinematicModel:
     initial_sd: tuple[float, ...] | None = None
     log_likelihood: float | None = None  # of the samples that the model was fitted to
     left_out: float = -math.inf  # sum over these of the log density that all others predict; -inf if it was not fitted
-
-    def __post_init__(self) -> None:
-        check_order(self.order, len(self.noise_sd))
-        if not 0 < self.spectral_density < math.inf:
-            raise InputError(f"the spectral density must be positive and finite, not {self.spectral_density!r}")
-        for k, sd in enumerate(self.noise_sd):
-            if sd is not None and not 0 < sd < math.inf:
-                raise InputError(f"the noise of derivative {k} must be positive and finite, not {sd!r}")
-        initial = self.initial_sd
-        if initial is not None and not (len(initial) == self.order and all(0 < s < math.inf for s in initial)):
-            raise InputError(f"initial_sd needs {self.order} positive and finite values, not {initial!r}")
-
-
-def check_order(order: int, derivatives: int) -> None:
-    """Raise an InputError unless a chain of this many derivatives, q included, can have this order."""
-    if not derivatives <= order < derivatives + STATES.most_extra:
-        raise InputError(
-            f"a chain of {derivatives - 1} derivatives has an order from {derivatives} to"
-            f" {derivatives + STATES.most_extra - 1}, not {order!r}"
-        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -218,6 +193,7 @@ class Rows:
     samples: Floats  # (n, c), 0 where missing
     present: NDArray[np.bool_]  # (n, c)
     steps: Floats  # (n,) in `step`, 1 where regular
+    regular: NDArray[np.bool_]  # (n,), after a regular step and with all samples
     measured: NDArray[np.int64]  # (c,)
     lowest: int
     step: float
@@ -227,7 +203,7 @@ class Rows:
     @property
     def irregular(self) -> int:
         """Rows after an odd step or with a missing sample, on which gains cannot settle."""
-        return int(np.count_nonzero((self.steps[1:] != 1.0) | ~self.present[1:].all(axis=1)))
+        return int(np.count_nonzero(~self.regular[1:]))
 
     @property
     def count(self) -> int:
@@ -236,7 +212,8 @@ class Rows:
 
     def take(self, rows: slice) -> Rows:
         """A stretch of the record."""
-        return replace(self, samples=self.samples[rows], present=self.present[rows], steps=self.steps[rows])
+        names = ("samples", "present", "steps", "regular")
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
     def units(self, derivatives: ArrayLike) -> Floats:
         """Units of some derivatives."""
@@ -267,7 +244,9 @@ class Rows:
             innovations=np.empty((n, c)),
             means=np.empty((n * keep, m)),
         )
-        entries, steady, logs = filter_gains(self.steps, self.present, orders, variances, noise, np.diag(start), tables)
+        entries, steady, logs = filter_gains(
+            self.steps, self.present, self.regular, orders, variances, noise, np.diag(start), tables
+        )
         deviance = logs + filter_means(self.samples, self.steps, orders, tables)
         value = -0.5 * (deviance + self.count * math.log(2.0 * math.pi)) + self.log_jacobian
         filled = {name: getattr(tables, name)[:entries] for name in ("gains", "inverse", "roots")}
@@ -299,21 +278,17 @@ def prepare(series: ChainSeries, initial_sd: Floats, all_states: bool = False) -
         centre = float(samples[present[:, 0], 0].mean())
         samples[:, 0] -= centre
     samples[~present] = 0.0
-    rows = Rows(samples, present, steps, measured, 0 if all_states else int(measured[0]), step, scale, centre)
+    regular, lowest = (steps == 1.0) & present.all(axis=1), 0 if all_states else int(measured[0])
+    rows = Rows(samples, present, steps, regular, measured, lowest, step, scale, centre)
     samples /= rows.units(measured)
     return rows
 
 
-@lru_cache(maxsize=16)
 def _unit_root(m: int) -> Floats:
     """Lower root of Qd over a step of 1 with Q = 1: Qd_ij = 1/((2m-1-i-j) (m-1-i)! (m-1-j)!)."""
     back = np.arange(m - 1, -1, -1)
     factorials = np.array([math.factorial(k) for k in back], dtype=np.float64)
-    root = np.asarray(
-        np.linalg.cholesky(1.0 / ((back[:, None] + back + 1) * np.outer(factorials, factorials))), np.float64
-    )
-    root.setflags(write=False)
-    return root
+    return np.asarray(np.linalg.cholesky(1.0 / ((back[:, None] + back + 1) * np.outer(factorials, factorials))))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -336,8 +311,7 @@ def smooth_kinematic(series: ChainSeries, model: KinematicModel) -> SmoothedStat
     A derivative below all that are measured (the displacement, where only the acceleration is) is known up to a
     polynomial of the record's time, and its standard deviation says so. After a gap of more than 20 median steps in
     which the lowest measured derivative spreads beyond 1e8 noise levels and beyond `KinematicModel.initial_sd`, the
-    state starts again from the latter: rounding would have left nothing of what was known. An InputError refuses a
-    record of another chain than the model's, and a channel that the model has no noise level for.
+    state starts again from the latter: rounding would have left nothing of what was known.
 
     Examples
     --------
@@ -365,7 +339,6 @@ def leave_one_out(series: ChainSeries, model: KinematicModel) -> Floats:
     """Each sample against what all others of the record predict, the same channel's and those of its derivatives.
 
     (n, K+1, 2): sample less prediction, and the standard deviation that this has under the model; NaN without a sample.
-    Errors are those of `smooth_kinematic`.
     """
     rows, given = filtered(series, model)
     errors, gradient = np.full((*rows.samples.shape, 2), np.nan), np.zeros(len(rows.measured) + 1)
@@ -376,10 +349,7 @@ def leave_one_out(series: ChainSeries, model: KinematicModel) -> Floats:
 
 
 def one_sided(series: ChainSeries, model: KinematicModel) -> tuple[Floats, Floats]:
-    """States given the samples up to each row, and given those from each row on: (n, m) each.
-
-    Errors are those of `smooth_kinematic`.
-    """
+    """States given the samples up to each row, and given those from each row on: (n, m) each."""
     signs = (-1.0) ** np.arange(len(series.channels))
     channels = (None if c is None else sign * c[::-1] for sign, c in zip(signs, series.channels, strict=True))
     after = _filtered_means(ChainSeries(-series.times[::-1], tuple(channels)), model)
@@ -394,18 +364,7 @@ def _filtered_means(series: ChainSeries, model: KinematicModel) -> Floats:
 
 
 def filtered(series: ChainSeries, model: KinematicModel, states: bool = False) -> tuple[Rows, Filtered]:
-    """A record as the kernels see it, and what the filter leaves of it: also of the states, where they are wanted.
-
-    Errors are those of `smooth_kinematic`.
-    """
-    if len(series.channels) != len(model.noise_sd):
-        raise InputError(
-            f"the model is of a chain of {len(model.noise_sd) - 1} derivatives, the record of one of"
-            f" {len(series.channels) - 1}"
-        )
-    for k in series.measured:
-        if model.noise_sd[k] is None:
-            raise InputError(f"derivative {k} is measured, but the model has no noise level for it")
+    """A record as the kernels see it, and what the filter leaves of it: also of the states, where they are wanted."""
     noise_sd = np.array([np.nan if sd is None else sd for sd in model.noise_sd], dtype=np.float64)
     if model.initial_sd is None:
         initial = sizes_of([series], least=model.noise_sd).initial_sd(model.order)
