@@ -19,6 +19,7 @@ from bayeq.likelihood.model import Task
 from bayeq.numerics.distributions import excess_of
 from bayeq.numerics.spline import spline_slopes
 from bayeq.states import Gain
+from bayeq.states.sensors import bridged
 
 # A channel is named whose factor or lag explains what is left by more standard deviations: laws that lack a term stay
 # below 6, sensors that are off exceed 14 (`tests/test_gains.py`); and changes its samples by more than a share.
@@ -126,10 +127,10 @@ def _directions(task: Task, state: State, sought: Sequence[tuple[int, bool]]) ->
         left, columns = filtered.standardised(found.delta)
         time, changes = np.append(0.0, np.cumsum(one.intervals)), np.empty((*left.shape, len(sought)))
         for k, (i, late) in enumerate(sought):
-            seen, samples = one.samples[:, [i]] - linear.residual[:, [i]], 0.0 * linear.residual
+            seen, samples = bridged(one.samples[:, i] - linear.residual[:, i]), 0.0 * linear.residual
             if task.layout.drift:
-                seen = seen - linear.path[:, task.layout.drifts[[i]]]
-            samples[:, [i]] = -spline_slopes(time, seen) if late else seen
+                seen = seen - linear.path[:, task.layout.drifts[i]]
+            samples[:, i] += -spline_slopes(time, seen[:, None])[:, 0] if late else seen
             square[k] += float(np.nansum(samples[:, i] ** 2))
             at_rest = linear._replace(path=0.0 * linear.path, end=0.0 * linear.end, residual=samples)
             changes[..., k] = run_filter(at_rest, NOTHING, still).standardised(np.zeros(0))[0]
