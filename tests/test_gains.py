@@ -113,6 +113,7 @@ def test_of_one_channel_of_a_chain_nothing_tells_the_factor():
 @pytest.mark.parametrize(
     ("off", "words"),
     [
+        ({"v": lambda v: v + 0.1}, r"v may be 0.1\d* too large throughout: --remove-offset v=0.\d+"),
         ({"v": lambda v: 1.02 * v}, r"v may be [12]\.?\d* % too large: --gain-sd v=0.0[23] learns that"),
         ({"a": lambda a: 0.97 * a}, r"a may be [23]\.?\d* % too small: --gain-sd a=0.0[34] learns that"),
         (

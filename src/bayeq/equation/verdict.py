@@ -205,11 +205,13 @@ def suspecting(verdict: Verdict, found: Suspect | float, seconds: float) -> Verd
     name, size = found.channel, abs(found.value)
     digit = 10.0 ** math.floor(math.log10(size))
     prior = f"{name}={math.ceil(size / digit) * digit:.1g}"
-    if found.late:
-        off, learned = f"{size:.2g} s {'late' if found.value > 0.0 else 'early'}", f"--lag-sd {prior}"
-    else:
-        off, learned = f"{100 * size:.2g} % too {'large' if found.value > 0.0 else 'small'}", f"--gain-sd {prior}"
-    advice = f"{CAREFUL}: {name} may be {off}: {learned} learns that"
+    much = "large" if found.value > 0.0 else "small"
+    off, remedy = {
+        "lag": (f"{size:.2g} s {'late' if found.value > 0.0 else 'early'}", f"--lag-sd {prior} learns that"),
+        "factor": (f"{100 * size:.2g} % too {much}", f"--gain-sd {prior} learns that"),
+        "offset": (f"{size:.3g} too {much} throughout", f"--remove-offset {name}={found.value:.4g}"),
+    }[found.off]
+    advice = f"{CAREFUL}: {name} may be {off}: {remedy}"
     if verdict.kind == "found":
         return Verdict("nearly true", f"other channels contradict {name}", advice)
     return replace(verdict, advice=advice)
