@@ -41,7 +41,7 @@ from bayeq.likelihood.record_fit import RecordFit, refit_record
 from bayeq.likelihood.unknowns import first_values
 from bayeq.numerics.settings import LIKELIHOOD, SELECTION
 from bayeq.records import UNKNOWN_TIME, Record, check_messages, counts_rows, without_copies
-from bayeq.records.record import in_units
+from bayeq.records.record import in_one_unit
 from bayeq.regression.by_likelihood import regressions_of
 from bayeq.regression.constraints import CONSERVED, Constraints, parse_constraints, parse_ties
 from bayeq.regression.design import Design, build_design, screened
@@ -134,11 +134,8 @@ class Question:
         measured = [in_samples(record, self.roles) if self.roles.discrete else record for record in records]
         if whole is None:
             measured, copies = without_copies(measured, self.roles.channels)
-            log.extend(copies, DataWarning)
-            wanted = {name: measured[0].units[name] for name in self.roles.channels if name in measured[0].units}
-            for k, one in enumerate(measured[1:], 1):
-                measured[k], notes, _ = in_units(one, wanted)
-                log.extend([f"{one.name or f'record {k + 1}'}: {note}" for note in notes], DataWarning)
+            measured, converted = in_one_unit(measured, self.roles.channels)
+            log.extend([*copies, *converted], DataWarning)
         if because is not None:
             log.warn(because, DataWarning)
         if self.roles.states and not self.roles.discrete and any(map(counts_rows, measured)):
@@ -183,11 +180,7 @@ class Question:
         step("inference", len(equations), len(equations))
         likelihood = record if found is None else found[1]
         if likelihood is not None:
-            motion = likelihood.told(motion)
-            sensors = motion.sensors
-            if sensors.lags or sensors.gains:
-                gains = {name: likelihood.calibration.gains[name] for name in sensors.gains}
-                motion = replace(motion, sensors=replace(sensors, lags=likelihood.lags, gains=gains))
+            motion = replace(likelihood.told(motion), sensors=likelihood.learned(motion.sensors))
         log.collected[before:before] = [(one, DataWarning) for one in _channel_messages(motion, pieces)]
         data = DataSummary.of(pieces, motion, found is not None)
         answer = Equations(
@@ -317,10 +310,9 @@ class Question:
         """The motion of channels whose lags and factors are taken out, as the likelihood of the record finds them."""
         sensors = motion.sensors
         by_likelihood = self.smooth == "auto" and motion.smoothing and not any(map(counts_rows, pieces))
-        measured = [[name for name in chain.measured if name is not None] for chain in motion.roles.chains]
-        if by_likelihood and whole is None:  # of one channel of a chain nothing tells the factor
-            several = [name for names in measured if len(names) > 1 for name in names if sensors.gain_sd.get(name)]
-            sensors = replace(sensors, gains={name: sensors.gain(name) for name in several})
+        if by_likelihood and whole is None:
+            told = [name for name in motion.roles.compared if sensors.gain_sd.get(name)]
+            sensors = replace(sensors, gains={name: sensors.gain(name) for name in told})
         if not self.lag_sd and not sensors.gains:
             return motion
         if self.lag_sd and whole is not None:

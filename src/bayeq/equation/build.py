@@ -242,9 +242,10 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
         dependent,
         change,
     )
-    if (verdict.kind in ("nearly true", "found") or verdict.advice == LONGER) and regression.suspect is not None:
-        seconds = [float(rows.time[-1] - rows.time[0]) for rows in regression.motion.train if rows.time is not None]
-        verdict = suspecting(verdict, regression.suspect, max(seconds, default=math.inf))
+    suspect = regression.suspect
+    if suspect is not None and (verdict.kind in ("nearly true", "found") or verdict.advice == LONGER):
+        seconds = [float(np.ptp(rows.time)) for rows in regression.motion.train if rows.time is not None]
+        verdict = suspecting(verdict, suspect, max(seconds))
     beyond = selection.fit.beyond_bounds(CONTRADICTED)
     if beyond and verdict.kind != "none":
         bounds = some_of([_beyond(name, *one) for name, one in beyond.items()], 60)

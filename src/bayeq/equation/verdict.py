@@ -194,24 +194,21 @@ def doubted(
     return verdict
 
 
-def suspecting(verdict: Verdict, found: Suspect | float, seconds: float) -> Verdict:
-    """The verdict on a law that is at best nearly true: a channel is off, and may be learned by how much; or channels
-    of `seconds` are filtered above a frequency [Hz]."""
-    if isinstance(found, float):
-        band = f"--band {1.0 / seconds:.1g}:{found:.3g}"
-        return replace(
-            verdict, advice=f"{CAREFUL}: channels look filtered above {found:.3g} Hz: {band} allows for that"
-        )
-    name, size = found.channel, abs(found.value)
-    digit = 10.0 ** math.floor(math.log10(size))
+def suspecting(verdict: Verdict, found: Suspect, seconds: float) -> Verdict:
+    """The verdict on a law that is at best nearly true, as a channel, of `seconds`, is off; and what helps."""
+    name, size, above = found.channel, abs(found.value), found.value > 0.0
+    digit, much = 10.0 ** math.floor(math.log10(size)), "large" if above else "small"
     prior = f"{name}={math.ceil(size / digit) * digit:.1g}"
-    much = "large" if found.value > 0.0 else "small"
     off, remedy = {
-        "lag": (f"{size:.2g} s {'late' if found.value > 0.0 else 'early'}", f"--lag-sd {prior} learns that"),
-        "factor": (f"{100 * size:.2g} % too {much}", f"--gain-sd {prior} learns that"),
-        "offset": (f"{size:.3g} too {much} throughout", f"--remove-offset {name}={found.value:.4g}"),
+        "lag": (f"{name} may be {size:.2g} s {'late' if above else 'early'}", f"--lag-sd {prior} learns that"),
+        "factor": (f"{name} may be {100 * size:.2g} % too {much}", f"--gain-sd {prior} learns that"),
+        "offset": (f"{name} may be {size:.3g} too {much} throughout", f"--remove-offset {name}={found.value:.4g}"),
+        "filter": (
+            f"channels look filtered above {size:.3g} Hz",
+            f"--band {1.0 / seconds:.1g}:{size:.3g} allows for that",
+        ),
     }[found.off]
-    advice = f"{CAREFUL}: {name} may be {off}: {remedy}"
+    advice = f"{CAREFUL}: {off}: {remedy}"
     if verdict.kind == "found":
         return Verdict("nearly true", f"other channels contradict {name}", advice)
     return replace(verdict, advice=advice)

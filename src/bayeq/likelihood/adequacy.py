@@ -111,14 +111,18 @@ class Adequacy:
         return min(rejected, key=lambda one: (one.p, -abs(math.log(one.ratio))), default=None)
 
     def suspect(self, channels: Sequence[str]) -> Suspect | None:
-        """The channel among some that the others contradict most."""
-        return max((one for one in self.suspects if one.channel in channels), key=lambda one: one.sds, default=None)
-
-    def filtered(self, channels: Sequence[str]) -> float | None:
-        """The frequency [Hz] above which some channels have hardly any noise, as those of a low-pass filter."""
+        """The channel among some that the others contradict most; else one with hardly any noise above a frequency."""
+        contradicted = [one for one in self.suspects if one.channel in channels]
+        if contradicted:
+            return max(contradicted, key=lambda one: one.sds)
         top = max((one.high for one in self.octaves), default=0.0)
-        own = [one for one in self.octaves if one.channel in channels and one.p <= self.limit and one.ratio < FILTERED]
-        return min(one.low for one in own) if any(one.high == top for one in own) else None
+        empty = [
+            one for one in self.octaves if one.channel in channels and one.p <= self.limit and one.ratio < FILTERED
+        ]
+        lowest = min(empty, key=lambda one: one.low, default=None)
+        if lowest is None or all(one.high < top for one in empty):
+            return None
+        return Suspect(lowest.channel, "filter", lowest.low)
 
     def changing(self, c: int) -> Change | None:
         """The least probable change of a coefficient of equation c, if it is rejected."""
@@ -138,9 +142,8 @@ def adequacy_of(task: Task, fitted: Fitted) -> Adequacy:
     interval = float(np.median(np.concatenate([one.intervals for one in task.series])))
     discrepancies = [_discrepancy(task, state, here.value, c, interval) for c in range(task.layout.chains)]
     changes = changes_of(task, state, here, fitted.power)
-    return Adequacy(
-        tuple(discrepancies), *_innovations(task, state, here.delta, interval), changes, suspects_of(task, state)
-    )
+    innovations, suspects = _innovations(task, state, here.delta, interval), suspects_of(task, state, here)
+    return Adequacy(tuple(discrepancies), *innovations, changes, suspects)
 
 
 def changes_of(task: Task, state: State, here: Statistics, power: float) -> tuple[Change, ...]:

@@ -35,7 +35,7 @@ from bayeq.likelihood.unequal import with_unequal_noise
 from bayeq.likelihood.unknowns import first_members, joint_covariance, settled, with_constants
 from bayeq.numerics.rk4 import Interpolation
 from bayeq.numerics.settings import LIKELIHOOD
-from bayeq.states import Lag, Motion, Sensors, with_paths
+from bayeq.states import Motion, Sensors, with_paths
 
 # Stretches in which long records are searched at first.
 STRETCHES = 4
@@ -246,11 +246,13 @@ class RecordFit:
     def _hardly_shrunk(self) -> Task:
         return replace(self.task, precision=LIKELIHOOD.unshrunk * self.task.precision, recent=[])
 
-    @cached_property
-    def lags(self) -> Mapping[str, Lag]:
-        """Of channels that may be late, what was taken out of the samples included."""
+    def learned(self, sensors: Sensors) -> Sensors:
+        """What is known of sensors, with lags and factors, what of them was taken out of the samples included."""
+        if not (sensors.lags or sensors.gains):
+            return sensors
         with np.errstate(all="ignore"):
-            return lags_of(self._hardly_shrunk, self._unshrunk[0], self.fitted.power)
+            lags = lags_of(self._hardly_shrunk, self._unshrunk[0], self.fitted.power)
+        return replace(sensors, lags=lags, gains={name: self.calibration.gains[name] for name in sensors.gains})
 
     def projectable(self, c: int, model: Bools) -> bool:
         """Whether the smoothed right-hand side of equation c is known with the terms of a model, (P,) bool."""

@@ -541,6 +541,16 @@ def in_units(record: Record, wanted: Mapping[str, str]) -> tuple[Record, list[st
     return record, notes, [name for name, factor in factors.items() if factor is None]
 
 
+def in_one_unit(records: Sequence[Record], names: Iterable[str]) -> tuple[list[Record], list[str]]:
+    """Records with some channels in the units of the first, as far as both are known; what was converted."""
+    out, said, first = list(records[:1]), list[str](), records[0].units
+    for k, record in enumerate(records[1:], 2):
+        record, notes, _ = in_units(record, {name: first[name] for name in names if name in first})
+        out.append(record)
+        said += [f"{record.name or f'record {k}'}: {note}" for note in notes]
+    return out, said
+
+
 def with_only(record: Record, names: Iterable[str]) -> Record:
     """These channels of a record, and its time; without what is known of a simulated one."""
     channels = {name: record[name] for name in names}

@@ -58,9 +58,8 @@ class RecordRegression(Regression):
         return tuple(found.gains), found.covariance
 
     @property
-    def suspect(self) -> Suspect | float | None:
-        adequacy, channels = self.record.adequacy, [name for name in self.chain.measured if name is not None]
-        return adequacy.suspect([*channels, *self.motion.roles.inputs]) or adequacy.filtered(channels)
+    def suspect(self) -> Suspect | None:
+        return self.record.adequacy.suspect([*filter(None, self.chain.measured), *self.motion.roles.inputs])
 
     @property
     def tau(self) -> float:

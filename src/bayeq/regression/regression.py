@@ -82,8 +82,8 @@ class Regression:
         return tuple(known), np.diag(np.square(list(known.values())))
 
     @property
-    def suspect(self) -> Suspect | float | None:
-        """A channel that others contradict, or the frequency [Hz] above which channels are filtered; None of rows."""
+    def suspect(self) -> Suspect | None:
+        """A channel that others contradict, or that was filtered; None of rows."""
         return None
 
     @property

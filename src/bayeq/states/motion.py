@@ -295,7 +295,7 @@ def _smoothed(
     filled = [on_grid(record, roles.channels) for record in records]
     cuts = [cut_at(record.n, share) for record in filled]
     try:
-        found = [smooth_chain(filled, chain, cuts, sensors.noise, sensors.gain_sd) for chain in roles.chains]
+        found = [smooth_chain(filled, chain, cuts, sensors) for chain in roles.chains]
     except RecordError:
         if integrated:  # which only the smoother can do
             raise

@@ -333,6 +333,12 @@ class Roles:
         return tuple(name for chain in self.chains for name in chain.measured if name is not None)
 
     @property
+    def compared(self) -> tuple[str, ...]:
+        """Channels that others of their chain tell of: by one alone its factor is not known."""
+        chains = ([name for name in chain.measured if name is not None] for chain in self.chains)
+        return tuple(name for names in chains if len(names) > 1 for name in names)
+
+    @property
     def channels(self) -> tuple[str, ...]:
         """All channels: those of the chains, then the inputs."""
         return (*self.measured, *self.inputs)

@@ -9,7 +9,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from types import MappingProxyType
 from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -275,7 +274,7 @@ def unit_gains(
     records: Sequence[Record],
     chain: Chain,
     rows: Sequence[int] | None = None,
-    gain_sd: Mapping[str, float] = MappingProxyType({}),
+    gain_sd: Mapping[str, float] | None = None,
 ) -> Floats:
     """Factor of each derivative's channel to the derivative in the unit that the lowest measured one implies, (K+1,).
 
@@ -284,7 +283,7 @@ def unit_gains(
     a missing sample. Where the factors of sensors may be off, by `gain_sd`, what they may explain is no unit.
     """
     cuts = [record.n for record in records] if rows is None else list(rows)
-    gains = np.ones(chain.order + 1)
+    gains, gain_sd = np.ones(chain.order + 1), gain_sd or {}
     known = {chain.lowest: str(chain.measured[chain.lowest])}
     for k in range(chain.lowest + 1, chain.order + 1):
         name = chain.measured[k]

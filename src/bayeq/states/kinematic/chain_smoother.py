@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from bayeq.records.validate import even_step
 from bayeq.states.kinematic.fit import fit_kinematic
 from bayeq.states.kinematic.smoother import ChainSeries, KinematicModel, smooth_kinematic
 from bayeq.states.roles import Chain
-from bayeq.states.sensors import LEAST_SHARE, bridged, unit_gains
+from bayeq.states.sensors import LEAST_SHARE, Sensors, bridged, unit_gains
 
 # A smoother's filter reaches over this many times as many samples as the inverse of its band's width.
 REACH = 4.0
@@ -116,16 +115,15 @@ def smooth_chain(
     records: Sequence[Record],
     chain: Chain,
     rows: Sequence[int] | None = None,
-    noise: Mapping[str, float] | None = None,
-    gain_sd: Mapping[str, float] = MappingProxyType({}),
+    sensors: Sensors | None = None,
 ) -> tuple[list[Floats], ChainSmoothing]:
     """Smoothed derivatives of order 0 to K of a chain in each of some records, (n, K+1), in the units of its channels.
 
     Noise levels are learned from the first `rows` of each record, by default from all; the others are smoothed apart,
-    so that nothing is carried from these to those. `noise` has known standard deviations, by channel, in its unit; NaN
-    is a missing sample. For `gain_sd` see `bayeq.states.sensors.unit_gains`. A RecordError says why noise cannot be
-    told from motion, or why a coordinate that is not measured cannot be integrated.
+    so that nothing is carried from these to those. NaN is a missing sample. A RecordError says why noise cannot be told
+    from motion, or why a coordinate that is not measured cannot be integrated.
     """
+    sensors = sensors or Sensors()
     cuts = [record.n for record in records] if rows is None else list(rows)
     where = records[0].name or "record"
     least = STATES.rows_per_order * (chain.order + 1)
@@ -136,9 +134,9 @@ def smooth_chain(
         )
     whole = [series_of(record, chain.measured) for record in records]
     series = [s.take(slice(0, cut)) for s, cut in zip(whole, cuts, strict=True)]
-    gains = unit_gains(records, chain, cuts, gain_sd)
+    gains = unit_gains(records, chain, cuts, sensors.gain_sd)
     try:
-        known = _known_noise(series, chain, gains, noise or {})
+        known = _known_noise(series, chain, gains, sensors.noise)
         model = fit_kinematic([s.over(gains) for s in series], noise_sd=known)
     except InputError as error:  # a channel with too few samples, or one that never changes
         reason = str(error).split(";")[0]
