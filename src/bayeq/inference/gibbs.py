@@ -179,13 +179,6 @@ def sample_chain(
             renew(p, T, active)
 
 
-def _seed(seed: int | Sequence[int]) -> np.random.SeedSequence:
-    try:
-        return np.random.SeedSequence(seed)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"a seed is a whole number, 0 or more (or a sequence of them), not {seed!r}") from error
-
-
 def sample_posterior(
     problem: Problem,
     *,
@@ -211,9 +204,12 @@ def sample_posterior(
     # as many terms as the prior expects, as in the paper, but not so many that they would fit anything
     expected = min(float(np.sum(1.0 / (1.0 + np.exp(-finite)))), max(0.1 * problem.dof, 5.0), MOST_AT_START)
     start = greedy_start(problem, max(1, round(expected)))
-    rss = residual_sum(problem)
-    nominal = max(rss, problem.floor) / max(problem.dof - terms, 1.0)
-    for k, stream in enumerate(_seed(seed).spawn(chains)):
+    nominal = max(residual_sum(problem), problem.floor) / max(problem.dof - terms, 1.0)
+    try:
+        root = np.random.SeedSequence(seed)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"a seed is a whole number, 0 or more (or a sequence of them), not {seed!r}") from error
+    for k, stream in enumerate(root.spawn(chains)):
         rng = np.random.Generator(np.random.PCG64(stream))
         variance = nominal * math.exp(0.1 * rng.standard_normal())
         samples_of_chain = z[k], theta[k], noise[k], levels[k], pip[k]

@@ -427,20 +427,13 @@ def grams_from_data(
     if D.ndim != 2 or Y.ndim != 2 or len(D) != len(Y):
         raise InputError(f"need D of shape (n, P) and a target of as many rows, got {D.shape} and {Y.shape}")
     columns = tuple(names) if names is not None else default_names(D.shape[1])
-    if weights is None:
-        starts = range(0, len(D), BLOCK_ROWS)
-        blocks = (_block_moments(D[i : i + BLOCK_ROWS], Y[i : i + BLOCK_ROWS]) for i in starts)
-        return _checked(_joined(blocks, columns, Y.shape[1]), D, Y)
-    w = checked_weights(weights, len(D))
-    kept = w > 0.0
-    if not kept.all():
-        D, Y, w = D[kept], Y[kept], w[kept]
+    w = None if weights is None else checked_weights(weights, len(D))
+    if w is not None and not w.all():
+        D, Y, w = D[w > 0.0], Y[w > 0.0], w[w > 0.0]
     rows = (slice(i, i + BLOCK_ROWS) for i in range(0, len(D), BLOCK_ROWS))
-    return _checked(_joined((_weighted_moments(D[r], Y[r], w[r]) for r in rows), columns, Y.shape[1]), D, Y)
-
-
-def _checked(grams: tuple[Gram, ...], D: Floats, Y: Floats) -> tuple[Gram, ...]:
-    require_squares(D, Y, grams[0].diagonal, np.array([gram.yty for gram in grams]), grams[0].names)
+    parts = (_block_moments(D[r], Y[r]) if w is None else _weighted_moments(D[r], Y[r], w[r]) for r in rows)
+    grams = _joined(parts, columns, Y.shape[1])
+    require_squares(D, Y, grams[0].diagonal, np.array([gram.yty for gram in grams]), columns)
     return grams
 
 

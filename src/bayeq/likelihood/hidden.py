@@ -17,9 +17,9 @@ from bayeq.errors import InputError, some_of
 from bayeq.expressions import Binary, Evaluator, Expression, Symbol, Unknown, number
 from bayeq.expressions.implicit import product, total
 from bayeq.expressions.nodes import replaced
+from bayeq.inference.collapsed.slab import likeliest_by_rows
 from bayeq.inference.gram import Gram
 from bayeq.likelihood.fit import State
-from bayeq.likelihood.start import likeliest_by_rows
 from bayeq.states import Chain, Motion, Roles, with_columns, with_hidden
 
 # Values of all constants that are tried first, about; rows of the regression that each is judged by, at most.
@@ -315,7 +315,7 @@ def _rates(motion: Motion, terms: Sequence[Expression], paths: Sequence[Mapping[
         changes.append(values[first + ahead] - values[first])
         sums.append(whole[first + ahead] - whole[first])
     gram = Gram.from_data(np.concatenate(sums), np.concatenate(changes), tuple(term.text for term in terms))
-    _, coef = likeliest_by_rows(gram, np.ones(len(terms), dtype=np.bool_))
+    _, coef = likeliest_by_rows(gram)
     return [D @ coef for D in columns]
 
 

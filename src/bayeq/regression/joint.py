@@ -12,6 +12,7 @@ from bayeq.arrays import Bools, Floats
 from bayeq.dictionary import Specification, of_equations
 from bayeq.dictionary.families import degree
 from bayeq.errors import InputError
+from bayeq.inference.auto import VB_STARTS
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.slab import exact_posterior
 from bayeq.inference.engines import ENGINES
@@ -28,10 +29,6 @@ from bayeq.regression.design import Design
 from bayeq.regression.fit import RegressionFit, fit_regression
 from bayeq.regression.regression import Regression
 from bayeq.states import Sensors
-
-# The ascent of variational Bayes, which gives the evidence lower bound, starts from this many of the best models.
-VB_STARTS = 3
-
 
 # Standard deviation of the coefficient 1 of a stated law.
 EXACTLY = 1e-6

@@ -102,19 +102,20 @@ def inspect_residuals(pieces: Sequence[Floats], channels: Mapping[str, Sequence[
     """
     n = sum(len(piece) for piece in pieces)
     centred = _centred(pieces)
-    covariance = _correlation(centred, centred)
+    covariance = correlation(centred, centred)
+    memory = memory_of(covariance, n)
     if not covariance[0] > 0:
-        return Residuals(n, 0.0, float(n))
+        return Residuals(n, *memory)
     rho = covariance / covariance[0]
+    return Residuals(n, *memory, *_shape(centred, rho), _strongest(centred, rho, channels or {}))
+
+
+def memory_of(covariance: Floats, n: int) -> tuple[float, float]:
+    """Autocorrelation at lag 1 and effective sample size of n residuals, from sums of products at lags 0, 1, ..."""
+    rho = covariance / covariance[0] if covariance[0] > 0 else np.zeros(1)
     negative = np.flatnonzero(rho <= 0)
     last = int(negative[0]) if len(negative) else len(rho)
-    return Residuals(
-        n,
-        float(rho[1]) if len(rho) > 1 else 0.0,
-        float(n / (1.0 + 2.0 * rho[1:last].sum())),
-        *_shape(centred, rho),
-        _strongest(centred, rho, channels or {}),
-    )
+    return float(rho[1]) if len(rho) > 1 else 0.0, n / (1.0 + 2.0 * float(rho[1:last].sum()))
 
 
 def _centred(pieces: Sequence[Floats]) -> list[Floats]:
@@ -122,7 +123,7 @@ def _centred(pieces: Sequence[Floats]) -> list[Floats]:
     return [piece - mean for piece in pieces]
 
 
-def _correlation(first: Sequence[Floats], second: Sequence[Floats]) -> Floats:
+def correlation(first: Sequence[Floats], second: Sequence[Floats]) -> Floats:
     """Sum over pieces and rows of first(t + k) second(t), at k = 0, 1, ... below the length of the longest piece."""
     longest = max(len(piece) for piece in first)
     size = 1 << (2 * longest - 1).bit_length()
@@ -139,7 +140,7 @@ def _shape(centred: Sequence[Floats], rho: Floats) -> Shape:
 
 def _both_ways(first: Sequence[Floats], second: Sequence[Floats], lags: int) -> Floats:
     """Sums of products at lags of the first behind the second, from -lags to lags."""
-    return np.concatenate([_correlation(second, first)[lags:0:-1], _correlation(first, second)[: lags + 1]])
+    return np.concatenate([correlation(second, first)[lags:0:-1], correlation(first, second)[: lags + 1]])
 
 
 def _strongest(centred: Sequence[Floats], rho: Floats, channels: Mapping[str, Sequence[Floats]]) -> Driver | None:
@@ -156,7 +157,7 @@ def _strongest(centred: Sequence[Floats], rho: Floats, channels: Mapping[str, Se
     found: list[tuple[float, Driver]] = []
     for name, pieces in channels.items():
         z = _centred(pieces)
-        other = _correlation(z, z)
+        other = correlation(z, z)
         if not other[0] > 0:
             continue
         r = _both_ways(centred, z, lags) / (own * math.sqrt(other[0]))

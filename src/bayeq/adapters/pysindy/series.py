@@ -25,11 +25,8 @@ from itertools import pairwise
 import numpy as np
 
 from bayeq.arrays import Bools, Complexes, Floats
-from bayeq.inference.collapsed.problem import Problem
-from bayeq.inference.collapsed.search import best_models
-from bayeq.inference.collapsed.slab import exact_posterior, learn_slab_variance, residual_scale
+from bayeq.inference.collapsed.slab import likeliest_by_rows
 from bayeq.inference.gram import Gram
-from bayeq.inference.prior import Prior
 
 # Share of a piece that is tapered at either end, and the least number of rows; this many times the inverse of the
 # band's width, since that is how far a smoother's errors at the ends reach; and not more than this share.
@@ -281,7 +278,7 @@ def _banded(bands: Sequence[Band], terms: int, floor: float) -> Gram:
     for _ in range(PILOTS):
         whole, gram, unit = _weighted(bands, terms, _spectrum(bands, coef, floor), floor)
         coef = np.zeros(terms + ORDERS)
-        coef[:terms] = _pilot(gram)
+        coef[:terms] = likeliest_by_rows(gram)[1]
         E = slice(terms, None)
         ridged = whole.DtD[E, E] + np.diag(unit / COMPLETION**2)
         coef[E] = np.linalg.solve(ridged, whole.Dty[E] - whole.DtD[E, :terms] @ coef[:terms])
@@ -323,13 +320,3 @@ def _weighted(bands: Sequence[Band], terms: int, spectrum: Sequence[Floats], flo
         yty=max(whole.yty - float(whole.Dty[E] @ share @ whole.Dty[E]), 0.0) + whole.n * floor**2,
     )
     return whole, gram, unit
-
-
-def _pilot(gram: Gram) -> Floats:
-    """Coefficients of the likeliest model."""
-    standard = gram.standardise(residual_scale(gram))
-    prior = Prior()
-    prior = replace(prior, slab_variance=learn_slab_variance(standard.gram, prior))
-    problem = Problem.of(standard.gram, prior)
-    coef, _ = exact_posterior(problem, best_models(problem)[0][1])
-    return np.asarray(coef * standard.target_scale / standard.scale)

@@ -27,7 +27,7 @@ from bayeq.likelihood.model import Task
 from bayeq.numerics.settings import STREAMING
 from bayeq.records import Record, counts_rows, with_row_numbers
 from bayeq.records.stream import Stream, units_between
-from bayeq.regression.residuals import Residuals
+from bayeq.regression.residuals import correlation
 from bayeq.resumable import Progress
 from bayeq.states import Motion, Roles
 from bayeq.states.bad_samples import Learned
@@ -383,11 +383,8 @@ class Lagged:
 
 def _products(a: Floats, b: Floats) -> Floats:
     """Sum of a(t + k) b(t) at each lag."""
-    out = np.zeros(LAGS)
-    size = 1 << (2 * max(len(a), 1) - 1).bit_length()
-    found = np.fft.irfft(np.fft.rfft(a, size) * np.fft.rfft(b, size).conj(), size)[: min(len(a), LAGS)]
-    out[: len(found)] = found
-    return out
+    found = correlation([a], [b])[:LAGS]
+    return np.pad(found, (0, LAGS - len(found)))
 
 
 @dataclass(frozen=True)
@@ -405,16 +402,6 @@ class LaggedResiduals(_Rows[Lagged]):
         for term, theta in zip(self.terms, self.coef.tolist(), strict=True):
             e = e - theta * evaluate(term)
         return Lagged.of(e, unit.extent)
-
-
-def with_all_rows(found: Residuals, lagged: Lagged) -> Residuals:
-    """What was found of some residuals, with the correlation of all of them."""
-    rho = lagged.products / lagged.products[0] if lagged.products[0] > 0 else np.zeros(1)
-    negative = np.flatnonzero(rho <= 0)
-    last = int(negative[0]) if len(negative) else len(rho)
-    n_eff = lagged.n / (1.0 + 2.0 * float(rho[1:last].sum()))
-    lag1 = float(rho[1]) if len(rho) > 1 else 0.0
-    return replace(found, n=lagged.n, lag1=lag1, n_eff=n_eff, discrepancy=None)
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,6 @@ from bayeq.dictionary import evaluate_terms
 from bayeq.dictionary.families import degree
 from bayeq.expressions import Expression
 from bayeq.inference.collapsed.path import DEPENDENT
-from bayeq.inference.collapsed.problem import all_rows
 from bayeq.inference.collapsed.slab import noise_given_model
 from bayeq.inference.posterior import Posterior
 from bayeq.numerics.distributions import Z95
@@ -125,7 +124,7 @@ def bounds(fit: RegressionFit) -> Floats | None:
     problem, support, kept = fit.problem, fit.posterior.support, fit.constraints.equalities.kept
     if len(support) > MOST_TERMS:
         return None
-    DtD, inside, others = all_rows(problem.columns), np.flatnonzero(support), np.flatnonzero(~support)
+    DtD, inside, others = problem.DtD, np.flatnonzero(support), np.flatnonzero(~support)
     shrink = 1.0 / problem.slab_variance
     A = DtD[np.ix_(inside, inside)] + shrink * np.eye(len(inside))
     carried = np.linalg.solve(A, DtD[np.ix_(inside, others)])

@@ -72,11 +72,6 @@ def gram_block(columns: Columns, index: Ints) -> Floats:
     return columns.rows[np.ix_(columns.slot[index], index)]
 
 
-def all_rows(columns: Columns) -> Floats:
-    """D'D as one array, (P, P)."""
-    return gram_block(columns, np.arange(len(columns.slot)))
-
-
 def gram_columns(gram: GramLike) -> Columns:
     """D'D of any Gram: a `LazyGram` gives its rows as they are needed."""
     terms = len(gram.names)
@@ -138,7 +133,7 @@ class Problem(NamedTuple):
     @property
     def DtD(self) -> Floats:
         """D'D as one array."""
-        return all_rows(self.columns)
+        return gram_block(self.columns, np.arange(len(self.columns.slot)))
 
     def with_slab_variance(self, slab_variance: float) -> Problem:
         """The same problem with another v_s."""
