@@ -194,7 +194,7 @@ def parsimony_path(fit: RegressionFit, shown: Bools, most: int | None = None) ->
     limits = fit.prior.limits
     # equalities between coefficients have taken terms, and with them a part of the target, to the left-hand side
     chosen = shown[fit.constraints.equalities.kept]
-    held_out = None if regression.held_out is None else fit.constraints.reduce(regression.held_out)
+    held_out = None if regression.held_out is None else fit.constraints.equalities.reduce(regression.held_out)
     if most is None:
         most = max(DEFAULT_MOST, int(chosen.sum()) + BEYOND)
     found = best_of_each_size(problem, most, [chosen], limits)

@@ -89,14 +89,6 @@ class Constraints:
         limits = np.where(allowed[:, None], self.limits, [-np.inf, np.inf])
         return replace(self, equalities=Equalities.solving(names, equations), limits=limits, stated=kept)
 
-    def reduce(self, gram: Gram) -> Gram:
-        """The regression that the equalities leave."""
-        return self.equalities.reduce(gram)
-
-    def expand(self, posterior: Posterior, gram: Gram) -> Posterior:
-        """The posterior of all coefficients from that of the reduced regression; `gram` is the one before."""
-        return self.equalities.expand(posterior, gram)
-
     def prior(self, prior: Prior, unit: Floats | float = 1.0) -> Prior:
         """A prior of all terms, with the limits, as one of the F terms that the equalities leave.
 

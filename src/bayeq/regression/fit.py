@@ -48,7 +48,7 @@ class RegressionFit:
     @cached_property
     def rows(self) -> Gram:
         """Statistics of the training rows, equalities taken out: what shares of variance refer to."""
-        return self.constraints.reduce(self.regression.rows)
+        return self.constraints.equalities.reduce(self.regression.rows)
 
     def given(self, model: Bools) -> Posterior:
         """The posterior given a model of other terms, (F,) bool, in units of `standard`; probabilities stay."""
@@ -62,7 +62,7 @@ class RegressionFit:
 
     def expanded(self, posterior: Posterior) -> Posterior:
         """A posterior of `standard` in original units and of all P terms."""
-        return self.constraints.expand(posterior.rescaled(self.standard), self.regression.gram)
+        return self.constraints.equalities.expand(posterior.rescaled(self.standard), self.regression.gram)
 
     def reported(self, posterior: Posterior) -> Posterior:
         """A posterior of `standard` as it is reported: the uncertainty of the sensors' calibration is added to it."""
@@ -127,7 +127,7 @@ def fit_regression(
     random numbers.
     """
     regression = regression.raised(coarsen)
-    reduced = constraints.reduce(regression.gram)
+    reduced = constraints.equalities.reduce(regression.gram)
     standard = reduced.standardise(residual_scale(reduced))
     if tolerance and isinstance(standard.gram, Gram) and regression.counts_rows:
         standard = replace(standard, gram=softened_rows(standard.gram, tolerance))
