@@ -20,8 +20,6 @@ from bayeq.arrays import Bools, Floats
 from bayeq.errors import ExpressionError, InputError, UnknownNameError
 from bayeq.expressions import FUNCTIONS, Binary, Evaluator, Expression, Negate, Node, Unknown, parse
 from bayeq.expressions.functions import CONSTANTS
-from bayeq.inference.gram import Gram
-from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior, common, half_lines, limited, signs_of
 from bayeq.regression.equalities import Equalities, Linear
 from bayeq.states import Chain
