@@ -12,8 +12,7 @@ from bayeq.inference.bma import spike_slab_bma
 from bayeq.inference.collapsed.problem import Problem, fetch, gram_block
 from bayeq.inference.collapsed.search import best_models
 from bayeq.inference.gibbs import spike_slab_gibbs
-from bayeq.inference.gram import Gram, dense
-from bayeq.inference.lazy_gram import LEAST_COLUMNS, LazyGram, grams_of
+from bayeq.inference.gram import LEAST_COLUMNS, Gram, LazyGram, dense, grams_of
 from bayeq.inference.prior import Prior
 from bayeq.inference.vb import spike_slab_vb
 

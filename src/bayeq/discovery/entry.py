@@ -38,7 +38,7 @@ from bayeq.inference.prior import Prior
 from bayeq.records import Record, as_records, with_row_numbers
 from bayeq.records.stream import RecordStream, Stream, open_streams, streamed_unasked
 from bayeq.regression.constraints import parse_conserved, parse_constraints, parse_ties
-from bayeq.regression.joint import JOINT
+from bayeq.regression.fit import JOINT
 from bayeq.resumable import Progress, silent
 from bayeq.states import Roles, Smooth, Tails, check_sensors, with_laws
 from bayeq.states.derive import current

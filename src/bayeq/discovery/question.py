@@ -34,18 +34,18 @@ from bayeq.expressions import Expression
 from bayeq.expressions.functions import CONSTANTS, TIME
 from bayeq.forecast.score import Scores
 from bayeq.inference.prior import SIGNED, Prior
+from bayeq.likelihood.channels import first_lags
 from bayeq.likelihood.hidden import with_first_laws, with_first_paths, with_found_laws, with_values_of
-from bayeq.likelihood.lags import first_lags
 from bayeq.likelihood.layout import Stated
 from bayeq.likelihood.record_fit import RecordFit, refit_record
 from bayeq.likelihood.unknowns import first_values
 from bayeq.numerics.settings import LIKELIHOOD, SELECTION
 from bayeq.records import UNKNOWN_TIME, Record, check_messages, counts_rows, without_copies
 from bayeq.records.record import in_one_unit
-from bayeq.regression.by_likelihood import regressions_of
 from bayeq.regression.constraints import CONSERVED, Constraints, parse_constraints, parse_ties
 from bayeq.regression.design import Design, build_design, screened
-from bayeq.regression.joint import fit_equations, record_of, sensors_of_design
+from bayeq.regression.fit import fit_equations, record_of, sensors_of_design
+from bayeq.regression.regression import regressions_of
 from bayeq.resumable import Progress
 from bayeq.states import (
     Motion,
@@ -236,7 +236,7 @@ class Question:
 
     @property
     def _likelihood(self) -> Callable[..., RecordFit | None]:
-        """The likelihood of the records of a design, as `bayeq.regression.joint.record_of`."""
+        """The likelihood of the records of a design, as `bayeq.regression.fit.record_of`."""
         tolerance = self.rules.tolerance
         return partial(record_of, smooth=self.smooth, dictionary=self.dictionary, prior=self.prior, tolerance=tolerance)
 

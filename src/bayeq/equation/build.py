@@ -42,9 +42,8 @@ from bayeq.inference.engines import ENGINES
 from bayeq.inference.posterior import Posterior
 from bayeq.numerics.settings import EQUATION
 from bayeq.records.names import in_si, parse_unit
-from bayeq.regression.by_likelihood import RecordRegression, changes_by_noise, inputs_of_hidden_noise
 from bayeq.regression.fit import RegressionFit
-from bayeq.regression.regression import Regression
+from bayeq.regression.regression import RecordRegression, Regression, changes_by_noise, inputs_of_hidden_noise
 
 # The record contradicts what is stated of a coefficient if it moves it by more of the stated standard deviations, and
 # a bound if the coefficient would be further beyond without it, in its own ones.

@@ -20,7 +20,7 @@ from bayeq.forecast.free_run import correlation_time, typical_period, window_run
 from bayeq.forecast.rows import divided, rows_of
 from bayeq.forecast.score import percentages
 from bayeq.likelihood.adequacy import Change, Discrepancy, Octave
-from bayeq.likelihood.gains import Suspect
+from bayeq.likelihood.channels import Suspect
 from bayeq.numerics.settings import EQUATION, LIKELIHOOD
 from bayeq.regression.regression import Regression
 from bayeq.regression.residuals import Fit

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.arrays import Floats
+from bayeq.likelihood.channels import Suspect, suspects_of
 from bayeq.likelihood.filter import run_filter
 from bayeq.likelihood.fit import State, Statistics, adjoints, maximised, of_inputs, solved
-from bayeq.likelihood.gains import Suspect, suspects_of
 from bayeq.likelihood.levels import Levels
 from bayeq.likelihood.model import Fitted, Task
 from bayeq.numerics.distributions import Z95, Shape, excess_of, incomplete_beta, shape_of

@@ -19,11 +19,10 @@ from bayeq.inference.gram import Gram, Standardised
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.adequacy import Adequacy, adequacy_of, power_of
 from bayeq.likelihood.block import Block, at_its_path
+from bayeq.likelihood.channels import Calibration, calibration_of, lags_of
 from bayeq.likelihood.courses import with_other_inputs
 from bayeq.likelihood.fit import Quadratic, State, candidates, of_stated, solved
-from bayeq.likelihood.gains import Calibration, calibration_of
 from bayeq.likelihood.hidden import law_constants, with_laws_of
-from bayeq.likelihood.lags import lags_of
 from bayeq.likelihood.layout import Stated
 from bayeq.likelihood.levels import LEAST_NOISE
 from bayeq.likelihood.model import Fitted, Task, finished, fit, from_all_levels, of_motion, with_model

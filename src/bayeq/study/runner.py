@@ -38,11 +38,10 @@ from bayeq.inference.prior import Prior
 from bayeq.inference.rvm import rvm
 from bayeq.inference.stlsq import sweep_stlsq
 from bayeq.inference.vb import spike_slab_vb
-from bayeq.regression.by_likelihood import regressions_of
 from bayeq.regression.constraints import parse_constraints
 from bayeq.regression.design import build_design
-from bayeq.regression.joint import fit_equations, record_of
-from bayeq.regression.regression import Regression
+from bayeq.regression.fit import fit_equations, record_of
+from bayeq.regression.regression import Regression, regressions_of
 from bayeq.resumable.store import AHEAD, MAX_JOBS, Key, ResultStore, fill
 from bayeq.states import Roles, Smooth, estimate_motion, parse_chains
 from bayeq.study.config import DEFAULT_ALGORITHMS, STUDY_SYSTEMS, StudyConfig, choose

@@ -39,8 +39,7 @@ from bayeq.inference.engines import ENGINES
 from bayeq.inference.gram import Gram
 from bayeq.inference.posterior import Posterior
 from bayeq.numerics.settings import LIKELIHOOD, SELECTION
-from bayeq.regression.fit import RegressionFit
-from bayeq.regression.joint import refitted
+from bayeq.regression.fit import RegressionFit, refitted
 from bayeq.states import Motion
 
 Errors = Mapping[float, float]

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bayeq.arrays import Floats, Ints
-from bayeq.inference.gram import GramLike, dense
+from bayeq.inference.gram import GramLike, LazyGram, dense
 from bayeq.inference.prior import Prior
 from bayeq.kernels import kernel
 
@@ -75,8 +75,7 @@ def gram_block(columns: Columns, index: Ints) -> Floats:
 def gram_columns(gram: GramLike) -> Columns:
     """D'D of any Gram: a `LazyGram` gives its rows as they are needed."""
     terms = len(gram.names)
-    data = getattr(gram, "data", None)
-    if data is None:
+    if not isinstance(gram, LazyGram):
         DtD = np.ascontiguousarray(dense(gram))
         return Columns(DtD.diagonal().copy(), DtD, np.arange(terms), np.array([terms]), NOTHING)
     return Columns(
@@ -84,7 +83,7 @@ def gram_columns(gram: GramLike) -> Columns:
         np.empty((terms, terms)),
         np.full(terms, -1),
         np.zeros(1, dtype=np.int64),
-        data,
+        gram.data,
     )
 
 
