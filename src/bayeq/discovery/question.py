@@ -21,7 +21,7 @@ from bayeq.discovery.cautions import (
     warn_of_terms,
     warn_of_zero,
 )
-from bayeq.discovery.laws import hidden_states, other_designs, with_differences, without_hidden
+from bayeq.discovery.laws import hidden_states, with_differences, without_hidden
 from bayeq.discovery.streaming.whole import Whole
 from bayeq.equation.answer import DataSummary, EquationTuple, HiddenState
 from bayeq.equation.build import build_equations, with_doubts
@@ -251,7 +251,8 @@ class Question:
         constrained = _constrained(known, design, self.method)
         dropped = {term.name: term.reason for term in design.dropped}
         ties = parse_ties(known, design.terms, design.motion.roles.targets, dropped, design.allowed)
-        asked = partial(self._likelihood, design, others=other_designs(design, others))
+        starts = [build_design(with_values_of(design.terms, one), one, allowed=design.allowed) for one in others]
+        asked = partial(self._likelihood, design, others=[one for one in starts if one.names == design.names])
         refused = [] if self.conserved else [text for text in known if "==" in text]
         left = tuple(text for text in known if text not in refused)
         without = _constrained(left, design, self.method) if refused else constrained

@@ -295,11 +295,7 @@ class Gram:
         return Standardised(gram=gram, source=self, scale=scale, target_scale=float(target_scale))
 
     def _moments(self) -> Moments:
-        p = len(self.names)
-        cross = np.empty((p + 1, p + 1))
-        cross[:p, :p] = self.DtD
-        cross[:p, p] = cross[p, :p] = self.Dty
-        cross[p, p] = self.yty
+        cross = np.block([[self.DtD, self.Dty[:, None]], [self.Dty, np.float64(self.yty)]])
         return Moments(self.n, np.append(self.mean, self.target_mean), cross)
 
 
@@ -487,11 +483,6 @@ class LazyGram:
     Dty: Floats  # (P,)
     yty: float
     dof: float  # degrees of freedom, as in `Gram`
-
-    @property
-    def DtD(self) -> Floats:
-        """All of D'D, for those who cannot do without."""
-        return self.data.T @ self.data
 
     def column(self, j: int) -> Floats:
         """Column j of D'D, (P,)."""

@@ -221,7 +221,5 @@ def _posterior(
 def _inverse(matrix: Floats) -> Floats:
     """Inverse of a positive matrix, scaled to unit diagonal on the way; of directions that rounding decides, none."""
     scale = 1.0 / np.sqrt(np.diagonal(matrix))
-    values, vectors = np.linalg.eigh(matrix * np.outer(scale, scale))
-    kept = values > len(values) * np.finfo(np.float64).eps * values.max(initial=0.0)
-    half = vectors[:, kept] / np.sqrt(values[kept]) * scale[:, None]
-    return np.asarray(half @ half.T)
+    unit = np.outer(scale, scale)
+    return np.linalg.pinv(matrix * unit, rcond=len(scale) * np.finfo(np.float64).eps, hermitian=True) * unit

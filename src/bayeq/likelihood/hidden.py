@@ -377,7 +377,6 @@ def _explained(motion: Motion, terms: Sequence[Expression], allowed: Bools) -> f
 
 
 def _ranges(roles: Roles, motion: Motion) -> list[Unknown]:
-    """The constants of the laws, with ranges."""
     out: dict[str, Unknown] = {}
     for chain in roles.hidden:
         assert chain.law is not None

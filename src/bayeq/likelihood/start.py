@@ -238,7 +238,6 @@ def with_courses(motion: Motion, task: Task, fitted: Fitted, k: int) -> Iterator
 
 
 def _inputs_of(state: State) -> list[_Input]:
-    """The inputs of a fit."""
     levels, layout = state.levels, state.levels.layout
     noise = levels.channels[layout.first_input :]
     paths = [
@@ -376,7 +375,6 @@ def _input(name: str, pieces: Sequence[MotionRows], known: float | None, orders:
 
 
 def _spectrum(name: str, pieces: Sequence[MotionRows], mean: float) -> Spectrum:
-    """The spectrum of an input."""
     return mean_spectrum([rows.columns[name] - mean for rows in pieces])
 
 

@@ -16,7 +16,7 @@ from bayeq.inference.gram import Gram
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
 from bayeq.inference.vb import spike_slab_vb
-from bayeq.numerics.distributions import Shape, shape_of
+from bayeq.numerics.distributions import shape_of
 from bayeq.numerics.settings import REGRESSION
 
 # Cross-correlations are looked at up to this many lags, and up to this share of the longest piece.
@@ -107,7 +107,10 @@ def inspect_residuals(pieces: Sequence[Floats], channels: Mapping[str, Sequence[
     if not covariance[0] > 0:
         return Residuals(n, *memory)
     rho = covariance / covariance[0]
-    return Residuals(n, *memory, *_shape(centred, rho), _strongest(centred, rho, channels or {}))
+    third, fourth = (max(1.0 + 2.0 * float(np.sum(rho[1:] ** k)), 0.1) for k in (3, 4))
+    return Residuals(
+        n, *memory, *shape_of(np.concatenate(centred), third, fourth), _strongest(centred, rho, channels or {})
+    )
 
 
 def memory_of(covariance: Floats, n: int) -> tuple[float, float]:
@@ -131,11 +134,6 @@ def correlation(first: Sequence[Floats], second: Sequence[Floats]) -> Floats:
     for a, b in zip(first, second, strict=True):
         out[: len(a)] += np.fft.irfft(np.fft.rfft(a, size) * np.fft.rfft(b, size).conj(), size)[: len(a)]
     return out
-
-
-def _shape(centred: Sequence[Floats], rho: Floats) -> Shape:
-    """The shape of residuals, beside that of a Gaussian process of these autocorrelations."""
-    return shape_of(np.concatenate(centred), *(max(1.0 + 2.0 * float(np.sum(rho[1:] ** k)), 0.1) for k in (3, 4)))
 
 
 def _both_ways(first: Sequence[Floats], second: Sequence[Floats], lags: int) -> Floats:
@@ -214,16 +212,12 @@ def thinned_gram(gram: Gram, residuals: Callable[[Posterior], Residuals]) -> Gra
     """
     share = 1.0
     for _ in range(PILOTS):
-        model = _pilot(gram.raised(_least(gram, share)))
+        model = _pilot(gram.raised(share))
         if gram.squared_error(model.coef) > REGRESSION.rejected * gram.yty:
             return gram
         found = residuals(model)
-        share = found.n_eff / found.n if found.correlated else 1.0
+        # at least as many rows as leave a regression
+        share = min(max(found.n_eff / found.n, 3.0 / gram.n), 1.0) if found.correlated else 1.0
         if share == 1.0:
             break
-    return gram.raised(_least(gram, share))
-
-
-def _least(gram: Gram, share: float) -> float:
-    """The share, but at least as many rows as leave a regression."""
-    return min(max(share, 3.0 / gram.n), 1.0)
+    return gram.raised(share)

@@ -97,10 +97,6 @@ class Learned:
     models: dict[tuple[str | None, ...], KinematicModel] = field(default_factory=dict)
     gains: dict[tuple[str | None, ...], Floats] = field(default_factory=dict)  # of chains, (K+1,)
 
-    def copy(self) -> Learned:
-        """The same, to which others may be added."""
-        return Learned(dict(self.models), dict(self.gains))
-
 
 def find_bad_samples(
     records: Sequence[Record], roles: Roles, learned: Learned | None = None

@@ -344,8 +344,10 @@ def _estimated(records: Sequence[Record], cuts: Sequence[int], below: str, above
     if order > MOST_ORDER:
         return None
     cross, power, expected, count, missing = 0.0, 0.0, 0.0, 0, 0.0
-    sizes = [_size(records, cuts, name) for name in (below, above)]
-    for record, cut in zip(records, cuts, strict=True):
+    pairs = list(zip(records, cuts, strict=True))
+    # so that no power of the samples overflows
+    sizes = [max(float(np.ptp(bridged(r[name][:cut]))) for r, cut in pairs) or 1.0 for name in (below, above)]
+    for record, cut in pairs:
         if record.time is None or cut <= LEAST_LINES:
             continue
         cut = min(cut, MOST_ROWS)
@@ -374,11 +376,6 @@ def _estimated(records: Sequence[Record], cuts: Sequence[int], below: str, above
     return _Estimate(math.copysign(math.sqrt(power / expected), cross) * sizes[1] / sizes[0], error)
 
 
-def _size(records: Sequence[Record], cuts: Sequence[int], name: str) -> float:
-    """Of the samples, so that no power of them overflows."""
-    return max(float(np.ptp(bridged(r[name][:cut]))) for r, cut in zip(records, cuts, strict=True)) or 1.0
-
-
 def bridged(samples: Floats) -> Floats:
     """The samples, missing ones interpolated."""
     known = np.flatnonzero(np.isfinite(samples))
@@ -392,8 +389,5 @@ def _lines(samples: Floats, step: float, order: int) -> Complexes:
     rate = 2.0 * np.pi / (n * step)
     windows = (0.5 - 0.5 * np.cos(phase), 0.5 * rate * np.sin(phase), 0.5 * rate**2 * np.cos(phase))
     omega = 2j * np.pi * np.fft.rfftfreq(n, step)
-    a, b, c = (np.fft.rfft(window * samples) if k <= order else None for k, window in enumerate(windows))
-    assert a is not None
-    if b is None:
-        return a[2:]
-    return (omega * a - b)[2:] if c is None else (omega**2 * a - 2.0 * omega * b + c)[2:]
+    a, b, c = (np.fft.rfft(window * samples) for window in windows)
+    return (a, omega * a - b, omega**2 * a - 2.0 * omega * b + c)[order][2:]

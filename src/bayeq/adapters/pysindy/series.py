@@ -120,7 +120,7 @@ def series_grams(Z: Floats, T: Floats, pieces: Sequence[slice], floors: Floats) 
     inner = [slice(p.start + spare, p.stop - spare) for p in pieces]
     library = [Z[p] for p in inner]
     targets = [[T[p, k] for p in inner] for k in range(T.shape[1])]
-    highest = min(_band_end(t, _left(library, t)) for t in targets)
+    highest = min(_band_end(library, t) for t in targets)
     out = []
     for t, floor in zip(targets, floors, strict=True):
         bands = _with_differences(Z, pieces, library, t, highest)
@@ -184,14 +184,10 @@ def _differences(t: Floats) -> Floats:
     return np.column_stack(out)
 
 
-def _left(D: Sequence[Floats], t: Sequence[Floats]) -> list[Floats]:
-    """What all columns together leave of the target, piece by piece."""
+def _band_end(D: Sequence[Floats], t: Sequence[Floats]) -> float:
+    """Frequency [1/row] below which a target stands out of what all columns together leave of it."""
     coef = np.linalg.lstsq(np.concatenate(D), np.concatenate(t))[0]
-    return [y - d @ coef for d, y in zip(D, t, strict=True)]
-
-
-def _band_end(t: Sequence[Floats], left: Sequence[Floats]) -> float:
-    """Frequency [1/row] below which a target stands out of its residual."""
+    left = [y - d @ coef for d, y in zip(D, t, strict=True)]
     frequency = np.concatenate([np.fft.rfftfreq(len(y)) for y in t])
     order = np.argsort(frequency, kind="stable")
     reach = COARSE * len(t)

@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
 from typing import Any, Generic, Protocol, Self, TypeVar
@@ -422,7 +423,7 @@ class ByLikelihood(Work[Block]):
 
     def __call__(self, unit: Unit) -> Block:
         record, roles = self.extents[unit.extent].read(unit.start, unit.stop), self.motion.roles
-        (clean,), _ = cleaned([record], roles, "auto", self.learned.copy())
+        (clean,), _ = cleaned([record], roles, "auto", deepcopy(self.learned))
         pieces, _ = divided_at_gaps([clean], roles, "auto")
         block = block_of(self.task, self.state, [further_rows(piece, self.motion) for piece in pieces if piece.n > 1])
         used = (*roles.measured, *roles.inputs)

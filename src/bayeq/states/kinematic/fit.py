@@ -201,19 +201,17 @@ class _Likelihood:
         self.count = sum(r.count for r in rows)
 
     def unpack(self, parameters: Floats) -> tuple[float, Floats]:
-        """Q and the noise levels."""
         noise_sd = self.known.copy()
         noise_sd[self.free] = np.sqrt(self.sizes.variance[self.free] * np.exp(parameters[: len(self.free)]))
         return self.unit * math.exp(parameters[-1]), noise_sd
 
     @property
-    def bounds(self) -> list[tuple[float, float]]:
-        noise = (math.log(LEAST_VARIANCE), math.log(MOST_VARIANCE))
-        roughness = (self.power * math.log(BANDWIDTHS[0]), self.power * math.log(BANDWIDTHS[1]))
-        return [noise] * len(self.free) + [roughness]
+    def bounds(self) -> Floats:
+        """Least and most, (2, F)."""
+        noise = np.tile(np.log([[LEAST_VARIANCE], [MOST_VARIANCE]]), len(self.free))
+        return np.column_stack([noise, self.power * np.log(BANDWIDTHS)])
 
     def value(self, parameters: Floats) -> float:
-        """The log-likelihood."""
         density, noise_sd = self.unpack(parameters)
         return sum(r.filter(self.order, density, noise_sd, self.initial).log_likelihood for r in self.rows)
 
@@ -251,10 +249,16 @@ class _Likelihood:
             value, gradient, _ = self.scored(at)
             return -value / self.count, -gradient / self.count
 
-        found = minimise(loss, self.start(floors), *np.transpose(self.bounds), gradient_tolerance=STATIONARY)
+        found = minimise(loss, self.start(floors), *self.bounds, gradient_tolerance=STATIONARY)
         value, gradient, left_out = self.scored(found.x)
-        if doubts and not found.converged:
-            self._warn_of(found.x, gradient / self.count)
+        uphill = np.clip(found.x + gradient / self.count, *self.bounds) - found.x
+        if doubts and not found.converged and np.abs(uphill).max(initial=0.0) > DOUBTFUL:
+            warnings.warn(
+                f"noise levels of order {self.order} may be off, the search stopped short: give them (noise=), or look"
+                " for bad samples",
+                ConvergenceWarning,
+                stacklevel=3,
+            )
         density, noise_sd = self.unpack(found.x)
         return KinematicModel(
             order=self.order,
@@ -264,14 +268,3 @@ class _Likelihood:
             log_likelihood=value,
             left_out=left_out,
         )
-
-    def _warn_of(self, parameters: Floats, gradient: Floats) -> None:
-        low, high = np.array(self.bounds).reshape(-1, 2).T
-        uphill = np.clip(parameters + gradient, low, high) - parameters
-        if np.abs(uphill).max(initial=0.0) > DOUBTFUL:
-            warnings.warn(
-                f"noise levels of order {self.order} may be off, the search stopped short: give them (noise=), or look"
-                " for bad samples",
-                ConvergenceWarning,
-                stacklevel=4,
-            )
