@@ -497,16 +497,10 @@ def changes_by_noise(
         products += X.T @ X
         added[:-1, :-1] += by_noise.T @ by_noise
     theta = np.append(posterior.coef[kept], posterior.intercept)
-    found = {}
-    for share in shares:
-        free_of_noise = solved(products - share**2 * added, products @ theta)
-        found[share] = theta[:-1] / free_of_noise[:-1] - 1.0
+    without = [solved(products - share**2 * added, products @ theta)[:-1] for share in shares]
+    errors = (theta[:-1] / np.array(without) - 1.0).T
     terms = [regression.design.terms[j] for j in kept]
-    return {
-        term.text: tuple(float(found[share][i]) for share in shares)
-        for i, term in enumerate(terms)
-        if name in term.names
-    }
+    return {term.text: tuple(own) for term, own in zip(terms, errors.tolist(), strict=True) if name in term.names}
 
 
 def _columns_and_derivatives(

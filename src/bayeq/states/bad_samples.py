@@ -195,9 +195,8 @@ class _Group:
         else:
             alone = {name: cls(records, (name,)).searched(learned).spikes for name in names if name is not None}
             calm = [
-                record.with_channels(
-                    {name: np.where(spikes[i][:, 0], np.nan, record[name]) for name, spikes in alone.items()},
-                    record.units,
+                with_samples(
+                    record, {name: np.where(own[i][:, 0], np.nan, record[name]) for name, own in alone.items()}
                 )
                 for i, record in enumerate(records)
             ]

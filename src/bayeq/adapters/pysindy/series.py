@@ -279,7 +279,10 @@ def _banded(bands: Sequence[Band], terms: int, floor: float) -> Gram:
         ridged = whole.DtD[E, E] + np.diag(unit / COMPLETION**2)
         coef[E] = np.linalg.solve(ridged, whole.Dty[E] - whole.DtD[E, :terms] @ coef[:terms])
     spectrum = _spectrum(bands, coef, floor)
-    counted = _counted(bands, coef, floor, spectrum)
+    # A bin whose residual is below the density that weights it is worth less: beyond the pass band of a smoothed motion
+    # it is next to nothing, and would be evidence that the noise is small in the others too.
+    own = residual_spectrum(bands, coef)
+    counted = sum(float(b.count @ ((o + floor**2) / s)) for b, o, s in zip(bands, own, spectrum, strict=True))
     return replace(_weighted(bands, terms, spectrum, floor)[1], n=counted, dof=counted)
 
 
@@ -289,16 +292,6 @@ def _spectrum(bands: Sequence[Band], coef: Floats, floor: float) -> list[Floats]
     order = np.argsort(np.concatenate([b.frequency for b in bands]), kind="stable")
     found[order] = np.maximum.accumulate(found[order])
     return np.split(found + floor**2, np.cumsum([len(b.frequency) for b in bands])[:-1])
-
-
-def _counted(bands: Sequence[Band], coef: Floats, floor: float, spectrum: Sequence[Floats]) -> float:
-    """How many numbers the bins are worth: one whose residual is below the density that weights it is worth less.
-
-    Beyond the pass band of a smoothed motion the residual is next to nothing. Counted as whole ones, such bins would be
-    evidence that the noise is small in the others too.
-    """
-    own = residual_spectrum(bands, coef)
-    return sum(float(b.count @ ((o + floor**2) / s)) for b, o, s in zip(bands, own, spectrum, strict=True))
 
 
 def _weighted(bands: Sequence[Band], terms: int, spectrum: Sequence[Floats], floor: float) -> tuple[Gram, Gram, float]:

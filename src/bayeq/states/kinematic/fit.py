@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -92,8 +92,16 @@ def fit_kinematic(
 
     if order is not None:
         return fitted(order)
+    # uphill by the leave-one-out density
     highest = len(known) - 1
-    return _best_order(fitted, highest + FIRST_EXTRA, range(highest + 1, highest + 1 + STATES.most_extra))
+    start = best = fitted(highest + FIRST_EXTRA)
+    for direction in (1, -1):
+        at = start.order + direction
+        while highest < at <= highest + STATES.most_extra and (other := fitted(at)).left_out > best.left_out:
+            best, at = other, at + direction
+        if best is not start:
+            break
+    return best
 
 
 def _known(derivatives: int, noise_sd: Sequence[float | None] | None) -> Floats:
@@ -170,18 +178,6 @@ def lowest_level(times: Floats, samples: Floats) -> float:
     spectrum = np.abs(np.fft.rfft((samples - samples.mean()) * window)) ** 2 / (window @ window)
     bands = np.array_split(spectrum[1:], min(BANDS, max(1, len(spectrum) // BINS)))
     return min(float(band.mean()) for band in bands)
-
-
-def _best_order(fitted: Callable[[int], KinematicModel], first: int, orders: range) -> KinematicModel:
-    """The order of the best leave-one-out density: uphill from the first."""
-    start = best = fitted(first)
-    for direction in (1, -1):
-        order = first + direction
-        while order in orders and (other := fitted(order)).left_out > best.left_out:
-            best, order = other, order + direction
-        if best is not start:
-            break
-    return best
 
 
 class _Likelihood:
