@@ -121,7 +121,10 @@ def test_estimators_take_wide_problems(estimator):
 def test_rvm_and_stlsq_take_wide_problems():
     D, y = wide(P=LEAST_COLUMNS)
     assert set(TRUE) <= set(np.flatnonzero(bq.RVM().fit(D, y).support_))
-    assert np.isfinite(bq.STLSQ(threshold=0.5, ridge=1.0).fit(D, y).coef_).all()
+    fit = bq.STLSQ(threshold=0.5, ridge=1.0).fit(D, y + 5.0)
+    assert np.isfinite(fit.coef_).all()
+    assert np.mean(fit.predict(D)) == pytest.approx(np.mean(y) + 5.0)
+    assert bq.STLSQ(threshold=0.5, ridge=1.0, fit_intercept=False).fit(D, y).intercept_ == 0.0
 
 
 def test_narrow_problems_keep_their_gram():
