@@ -15,8 +15,8 @@ from bayeq.errors import BayeqWarning, InputError
 from bayeq.forecast.free_run import typical_period
 from bayeq.forecast.rows import Rows
 from bayeq.numerics.rk4 import interpolant
-from bayeq.states import Roles, estimate_motion, parse_chain, rates, unit_gains
-from bayeq.states.sensors import _estimated
+from bayeq.states import Roles, estimate_motion, parse_chain, rates
+from bayeq.states.sensors import _estimated, unit_gains
 
 G = 9.80665
 CHAIN = parse_chain("x:v:a")

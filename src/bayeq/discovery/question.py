@@ -47,20 +47,9 @@ from bayeq.regression.design import Design, build_design, screened
 from bayeq.regression.fit import fit_equations, record_of, sensors_of_design
 from bayeq.regression.regression import regressions_of
 from bayeq.resumable import Progress
-from bayeq.states import (
-    Motion,
-    Roles,
-    Smooth,
-    Tails,
-    corrected,
-    estimate_motion,
-    known_sensors,
-    measured_apart,
-    require_in_range,
-    require_steps,
-    require_varying,
-)
+from bayeq.states import Motion, Roles, Smooth, Tails, corrected, estimate_motion, known_sensors, measured_apart
 from bayeq.states.bad_samples import Learned
+from bayeq.states.derive import require_in_range, require_steps, require_varying
 from bayeq.states.motion import cut_at, held_out_share
 from bayeq.states.prepare import bridged_record, cleaned, divided_at_gaps, in_samples, require_enough, without_hum
 

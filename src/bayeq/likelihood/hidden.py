@@ -20,7 +20,8 @@ from bayeq.expressions.nodes import replaced
 from bayeq.inference.collapsed.slab import likeliest_by_rows
 from bayeq.inference.gram import Gram
 from bayeq.likelihood.fit import State
-from bayeq.states import Chain, Motion, Roles, with_columns, with_hidden
+from bayeq.states import Chain, Motion, Roles
+from bayeq.states.motion import with_columns, with_hidden
 
 # Values of all constants that are tried first, about; rows of the regression that each is judged by, at most.
 GRID, ROWS = 400, 4000

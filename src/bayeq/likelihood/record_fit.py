@@ -34,7 +34,8 @@ from bayeq.likelihood.unequal import with_unequal_noise
 from bayeq.likelihood.unknowns import first_members, joint_covariance, settled, with_constants
 from bayeq.numerics.rk4 import Interpolation
 from bayeq.numerics.settings import LIKELIHOOD
-from bayeq.states import Motion, Sensors, with_paths
+from bayeq.states import Motion, Sensors
+from bayeq.states.motion import with_paths
 
 # Stretches in which long records are searched at first.
 STRETCHES = 4
