@@ -43,7 +43,7 @@ from bayeq.inference.posterior import Posterior
 from bayeq.numerics.settings import EQUATION
 from bayeq.records.names import in_si, parse_unit
 from bayeq.regression.fit import RegressionFit
-from bayeq.regression.regression import RecordRegression, Regression, changes_by_noise, inputs_of_hidden_noise
+from bayeq.regression.regression import Regression, changes_by_noise, inputs_of_hidden_noise
 
 # The record contradicts what is stated of a coefficient if it moves it by more of the stated standard deviations, and
 # a bound if the coefficient would be further beyond without it, in its own ones.
@@ -158,7 +158,7 @@ def build_equation(selection: Selection, window: tuple[float, str] | None) -> Eq
 def _of_hidden(regression: Regression) -> Verdict:
     """The verdict on the law of a hidden state that was found: the equations that it is in are judged by the record."""
     z, target = regression.chain.names[0], regression.chain.target
-    if isinstance(regression, RecordRegression) and regression.record.flat:
+    if regression.record is not None and regression.record.flat:
         same = f"sums of {z} and other terms in place of {z} say the same of what is measured"
         return Verdict("not determined", same, f"give {target} fewer terms")
     return Verdict("found", f"{z} is judged by the equations that it is in")
@@ -226,7 +226,7 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
     gains = zip(equation.chain.measured, equation.unit_gains, strict=False)
     reversed_channel = next((name for name, gain in gains if name is not None and gain < 0.0), None)
     left, dependent = equation.residuals, None
-    if regression.counts_rows and equation.train.nrmse > LEAST_SHOWN and left.n_eff < EQUATION.independent * left.n:
+    if regression.record is None and equation.train.nrmse > LEAST_SHOWN and left.n_eff < EQUATION.independent * left.n:
         dependent = left.n_eff, left.n  # of rows as measured most do not tell anything new
     verdict = doubted(
         equation.verdict,
@@ -249,7 +249,7 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
     if beyond and verdict.kind != "none":
         bounds = some_of([_beyond(name, *one) for name, one in beyond.items()], 60)
         return Verdict("not determined", f"the record contradicts {bounds}", "check units, or drop that")
-    if isinstance(regression, RecordRegression) and regression.record.rivals and verdict.kind != "none":
+    if regression.record is not None and regression.record.rivals and verdict.kind != "none":
         other = ", ".join(f"{name} = {value:.4g}" for name, value in regression.record.rivals[0].items())
         return Verdict("not determined", f"as likely with {other}", "give narrower ranges, as in {a: 0.1..1}")
     if equation.posterior.details.converged or verdict.kind in ("none", "not determined"):
@@ -264,7 +264,7 @@ def _beyond(name: str, end: float, free: float, sds: float) -> str:
 
 
 def _runners_up(fit: RegressionFit, posterior: Posterior) -> tuple[RunnerUp, ...]:
-    if isinstance(fit.regression, RecordRegression) and fit.regression.record.task.flows is not None:
+    if fit.regression.record is not None and fit.regression.record.task.flows is not None:
         return ()  # what an equation by itself tells is not what the sum leaves
     problem, limits, shown, names = fit.problem, fit.prior.limits, posterior.support, posterior.names
     moves = neighbours(problem, shown, RUNNER_UP_WINDOW)
@@ -307,7 +307,7 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
             ConvergenceWarning,
         )
     regression = selection.fit.regression
-    if not regression.counts_rows and math.isnan(regression.exact):
+    if regression.record is not None and math.isnan(regression.exact):
         log.warn(
             f"{target}: whether the law is exact or only nearly true is not known: measure longer", ConvergenceWarning
         )
