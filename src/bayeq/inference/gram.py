@@ -282,17 +282,8 @@ class Gram:
         Standardised
             The Gram matrix, and the scales that lead back to original units.
         """
-        gram = Gram(
-            names=self.names,
-            n=self.n,
-            mean=np.zeros(len(self.names)),
-            target_mean=0.0,
-            DtD=self.DtD / scale[:, None] / scale,
-            Dty=self.Dty / scale / target_scale,
-            yty=self.yty / target_scale**2,
-            dof=self.dof,
-        )
-        return Standardised(gram=gram, source=self, scale=scale, target_scale=float(target_scale))
+        units = Standardised(gram=self, source=self, scale=scale, target_scale=float(target_scale))
+        return replace(units, gram=units.apply(self))
 
     def _moments(self) -> Moments:
         cross = np.block([[self.DtD, self.Dty[:, None]], [self.Dty, np.float64(self.yty)]])

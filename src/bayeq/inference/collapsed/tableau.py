@@ -58,14 +58,8 @@ def build(columns: Columns, Dty: Floats, yty: float, ridge: float) -> Tableau:
     """Unswept tableau, of the empty model; `ridge` is 1/v_s, `yty` holds 2 b_sigma already."""
     p = len(Dty)
     most = min(p, MOST_ACTIVE)
-    diagonal, partial, row, size = np.empty(p + 1), np.empty(p), np.empty(p, np.int64), np.empty(1, np.int64)
-    for j in range(p):
-        row[j] = -1
-        diagonal[j] = columns.diagonal[j] + ridge
-        partial[j] = Dty[j]
-    diagonal[p] = yty
-    size[0] = 0
-    return Tableau(np.empty((most, p + 1)), row, np.empty(most, np.int64), size, diagonal, partial)
+    row, term, size = np.full(p, -1, np.int64), np.empty(most, np.int64), np.zeros(1, np.int64)
+    return Tableau(np.empty((most, p + 1)), row, term, size, np.append(columns.diagonal + ridge, yty), Dty.copy())
 
 
 @kernel
@@ -169,10 +163,9 @@ def swept(p: Problem, active: Bools) -> Tableau:
 @kernel
 def renew(p: Problem, T: Tableau, active: Bools) -> None:
     """Sweep the tableau of a model again, in place."""
-    for j in range(len(active)):
-        T.row[j] = -1
-        T.diagonal[j] = p.columns.diagonal[j] + 1.0 / p.slab_variance
-        T.partial[j] = p.Dty[j]
+    T.row[:] = -1
+    T.partial[:] = p.Dty
+    T.diagonal[:-1] = p.columns.diagonal + 1.0 / p.slab_variance
     T.diagonal[-1] = p.yty + 2.0 * p.noise_rate
     T.size[0] = 0
     for j in range(len(active)):
@@ -192,11 +185,7 @@ def strayed(columns: Columns, Dty: Floats, yty: float, ridges: Floats, floor: fl
     """
     terms, r = len(Dty), T.size[0]
     s = max(T.diagonal[terms], floor)
-    left = yty
-    pull, own = np.empty(terms), np.empty(terms)
-    for j in range(terms):
-        pull[j] = Dty[j]
-        own[j] = columns.diagonal[j] + ridges[j]
+    left, pull, own = yty, Dty.copy(), columns.diagonal + ridges
     for a in range(r):
         i = T.term[a]
         gram, row, mean = columns.rows[columns.slot[i]], T.rows[a], T.partial[i]
@@ -222,9 +211,7 @@ def strayed(columns: Columns, Dty: Floats, yty: float, ridges: Floats, floor: fl
 @kernel
 def drifted(p: Problem, T: Tableau) -> bool:
     """Whether the tableau of a model has `strayed`."""
-    ridges = np.empty(len(p.Dty))
-    for j in range(len(ridges)):
-        ridges[j] = 1.0 / p.slab_variance
+    ridges = np.full(len(p.Dty), 1.0 / p.slab_variance)
     return strayed(p.columns, p.Dty, p.yty + 2.0 * p.noise_rate, ridges, p.floor, T)
 
 
