@@ -104,7 +104,6 @@ def inner_dispatcher(function: Callable[..., Any]) -> Any:
 
 
 def _allowed(function: Callable[..., Any]) -> set[str] | bool:
-    """LLVM's flags."""
     return {"reassoc", "contract"} if _options(function)["reordered"] else False
 
 

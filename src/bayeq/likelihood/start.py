@@ -249,7 +249,6 @@ def _inputs_of(state: State) -> list[_Input]:
 
 
 def _with_others(motion: Motion, task: Task, state: State, inputs: Sequence[_Input]) -> tuple[Task, State]:
-    """The task and the fit with other inputs."""
     layout, levels = _with_inputs(task.layout, inputs), state.levels
     first = layout.before_inputs
     series = tuple(

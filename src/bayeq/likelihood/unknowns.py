@@ -117,7 +117,8 @@ def with_constants(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fi
         for j in (active, *(j for j in members if j != active)):
             try:
                 other = first if j == active else settled(motion, *_instead(motion, *first, active, j))
-                score = _log_posterior(*other)
+                # ln p(data, model), constants integrated out
+                score = other[1].evidence + min([0.0, *_costs(*other).values()])
             except np.linalg.LinAlgError:
                 continue
             if score > max(found.values(), default=-math.inf):
@@ -460,11 +461,6 @@ def _with_odds(task: Task, fitted: Fitted) -> Task:
         lost[:, j] = cost
     before = 0.0 if task.ranges is None else task.ranges
     return replace(task, log_odds=task.log_odds + lost.ravel() - before, ranges=lost.ravel())
-
-
-def _log_posterior(task: Task, fitted: Fitted) -> float:
-    """ln p(data, model), constants integrated out."""
-    return fitted.evidence + min([0.0, *_costs(task, fitted).values()])
 
 
 def _costs(task: Task, fitted: Fitted) -> dict[int, float]:

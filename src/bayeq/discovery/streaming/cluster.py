@@ -154,7 +154,6 @@ class Cluster:
             return max(1, sum(self.client.nthreads().values()))
 
     def _first(self, futures: Sequence[Any]) -> Any:
-        """The first of some tasks that is done."""
         from distributed import wait
 
         def look(timeout: float) -> Any:
@@ -431,7 +430,6 @@ def dask_streams(data: Any, client: Any, channels: Sequence[str], time: Any = No
 
 
 def _frame(data: Any) -> Any:
-    """A Dask DataFrame."""
     import dask.array as da
     import dask.dataframe as dd
 
