@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from numbers import Integral
 from pathlib import Path
 from types import SimpleNamespace
@@ -432,7 +433,7 @@ def _answer(
         extents, checkpoint = _whole_streams(map(RecordStream, measured)), None
     extents = of_channels(extents, channels)
     try:
-        return _of_all_rows(question, extents, _whole(question, extents, executor, checkpoint))
+        return _of_all_rows(question, _whole(question, extents, executor, checkpoint))
     except NotStreamed as why:
         if required:
             raise
@@ -441,10 +442,10 @@ def _answer(
         return question.answer(some, because=f"{used:,} of {given:,} rows are used, {len(some)} stretches: {why}")
 
 
-def _of_all_rows(question: Question, rows: tuple[Extent, ...], whole: Whole) -> tuple[Equations, WarningLog]:
+def _of_all_rows(question: Question, whole: Whole) -> tuple[Equations, WarningLog]:
     """The answer from sums over all rows, which are kept until there is one."""
     try:
-        found = question.answer(stretches(rows), whole)
+        found = replace(question, whole=whole).answer(stretches(whole.extents))
     except KeyboardInterrupt as stop:
         if (folder := whole.checkpoints.kept) is not None:
             stop.add_note(f"sums over the rows are kept in {folder}; the same command continues")
