@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from bayeq.arrays import Bools, Floats
 from bayeq.errors import ConvergenceWarning, InputError
 from bayeq.figures.style import BLACK, BLUE, ORANGE, PALE, RED, log_ticks, new_panels, picture, term_label
-from bayeq.inference.collapsed.listing import list_models
+from bayeq.inference.bma import average_models
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.gram import Gram, GramLike
@@ -312,7 +312,7 @@ def _curve(
     """The curve of the problems that the values pose; a warning if the PIPs at the value used are not reliable."""
     pip, left_out = np.empty((len(values), len(gram.names))), np.empty(len(values))
     for k, problem in enumerate(problems):
-        found = list_models(problem, tolerance, limits=prior.limits)
+        found = average_models(problem, prior.limits, tolerance=tolerance)
         pip[k], left_out[k] = found.pip(tolerance)[0], found.left_out
     curve = PipCurve(axis_name, tuple(gram.names), values, pip, left_out, int(np.searchsorted(values, used)))
     if not curve.listed[curve.current]:

@@ -77,6 +77,18 @@ def _mixture_moments(
     return mean, square, second, noise
 
 
+def average_models(
+    problem: Problem, limits: Floats | None = None, *, tolerance: float = 5e-3, enumerate_up_to: int = ENUMERATE
+) -> ModelSet:
+    """The models to average over: all of them, or those that hold all but `tolerance` of the mass."""
+    if limits is None:
+        return list_models(problem, tolerance, enumerate_up_to)
+    # brings scipy.special, which takes a while to import
+    from bayeq.inference.signs import list_signed
+
+    return list_signed(problem, limits, tolerance, enumerate_up_to)
+
+
 def _moments(
     problem: Problem, limits: Floats | None, models: Bools, weights: Floats, place: Ints, count: int
 ) -> tuple[Floats, Floats, Floats, float]:
@@ -125,7 +137,7 @@ def spike_slab_bma(
     """
     prior = prior or Prior()
     problem, limits = Problem.of(gram, prior), prior.limits
-    found = list_models(problem, tolerance, enumerate_up_to, limits)
+    found = average_models(problem, limits, tolerance=tolerance, enumerate_up_to=enumerate_up_to)
     found = found if revise is None else revise(found)
     found = found if revise is None else replace(found, inclusion=None)  # which was that before
     weights, (pip, converged) = found.weights, found.pip(tolerance)

@@ -319,15 +319,8 @@ def search_models(problem: Problem, tolerance: float = 5e-3) -> ModelSet:
     return ModelSet(listing.models[order], listing.scores[order], left, expanded, inclusion=inclusion)
 
 
-def list_models(
-    problem: Problem, tolerance: float = 5e-3, enumerate_up_to: int = ENUMERATE, limits: Floats | None = None
-) -> ModelSet:
-    """All models of few free terms, or those that hold all but `tolerance` of the posterior mass, within any limits."""
-    if limits is not None:
-        # brings scipy.special, which takes a while to import
-        from bayeq.inference.signs import list_signed
-
-        return list_signed(problem, limits, tolerance, enumerate_up_to)
+def list_models(problem: Problem, tolerance: float = 5e-3, enumerate_up_to: int = ENUMERATE) -> ModelSet:
+    """All models of few free terms, or those that hold all but `tolerance` of the posterior mass."""
     if int(np.isfinite(problem.log_odds).sum()) <= enumerate_up_to:
         return enumerate_models(problem)
     return search_models(problem, tolerance=tolerance)
