@@ -427,7 +427,7 @@ class Answer:
         """
         from bayeq.forecast.dynamics import Dynamics
 
-        return Dynamics.of([equation.law for equation in self.equations], self.inputs, intercepts, self.roles.timed)
+        return Dynamics.of([equation.law for equation in self.equations], self.roles, intercepts)
 
 
 def _numbers(value: Any, what: str) -> Floats:

@@ -20,7 +20,7 @@ from bayeq.equation.verdict import state_noise, window_errors
 from bayeq.equation.written import finite, moment
 from bayeq.errors import DataWarning, InputError
 from bayeq.forecast.free_run import Forecast
-from bayeq.forecast.score import percentages
+from bayeq.forecast.score import percent, percentages
 from bayeq.numerics.distributions import Z95
 from bayeq.numerics.settings import EQUATION
 from bayeq.records import Record, counts_rows
@@ -114,7 +114,7 @@ class Prediction:
             for name, error in errors.items():
                 inside = "" if error.inside is None else f"{100 * error.inside:.3g} %"
                 rms = "blew up" if math.isinf(error.rms) else "" if math.isnan(error.rms) else f"{error.rms:.3g}"
-                share = percentages({"": error.nrmse}).strip() if math.isfinite(error.nrmse) else ""
+                share = percent(error.nrmse) if math.isfinite(error.nrmse) else ""
                 rows.append((f"{name}, {what}", share, rms, error.unit or "", inside))
         widths = [max(len(row[k]) for row in rows) for k in range(5)]
         ruler = "|".join("-" * (width + 2) for width in widths)
@@ -271,15 +271,14 @@ def _verdict(
     what = "free runs follow" if free_run else "single steps follow"
     worst = max((error.nrmse for error in judged.values()), default=math.inf)
     if worst < EQUATION.as_the_mean:
-        within = percentages({"within": worst})
         if worst <= ROUGHLY:
-            return "follows", f"{what} the record {within}"
-        return "follows roughly", f"{what} the record only roughly, {within}"
+            return "follows", f"{what} the record within {percent(worst)}"
+        return "follows roughly", f"{what} the record only roughly, within {percent(worst)}"
     period = max(windows.values(), default=math.inf)
     if free_run and period <= ROUGHLY:
         return (
             "follows for a period",
-            f"free runs over one period follow the record {percentages({'within': period})}, over all of it they are"
+            f"free runs over one period follow the record within {percent(period)}, over all of it they are"
             " worse than the mean: small errors add up, as in chaotic or lightly damped motion",
         )
     return "does not hold", "worse than the mean: the equation does not hold for this record"

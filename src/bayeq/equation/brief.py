@@ -18,7 +18,7 @@ from bayeq.errors import printable
 from bayeq.figures.runs import draw_states
 from bayeq.figures.style import above, axes_for, style
 from bayeq.figures.terms import draw_terms
-from bayeq.forecast.score import percentages
+from bayeq.forecast.score import percent, percentages
 from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
 from bayeq.markup import aligned, code, items, join, paragraph, table
 
@@ -230,9 +230,7 @@ def checks(eq: Answer) -> str:
     scores, still = eq.scores, () if eq.scores is None or fits[0] is None else eq.scores.still
     # of a target that is estimated the error is mostly that of the estimate
     measured = [(one.target, fit) for one, fit in pairs if one.chain.measured[-1] or one.chain.discrete]
-    parts = [
-        f"{target} within {percentages({'': fit.nrmse}).strip()}" for target, fit in measured if target not in still
-    ]
+    parts = [f"{target} within {percent(fit.nrmse)}" for target, fit in measured if target not in still]
     if scores is not None and scores.blew_up_at is not None:
         parts.append(f"a free run over them blew up at {moment(scores.blew_up_at, eq.roles.discrete)}")
     elif scores is not None and set(scores.free_run) - set(still):
@@ -241,7 +239,7 @@ def checks(eq: Answer) -> str:
     if still:
         parts.append(f"{', '.join(still)} hardly move{'s' * (len(still) == 1)} there, which tests little")
     if not parts:
-        parts = [f"{one.target} within {percentages({'': fit.nrmse}).strip()}" for one, fit in pairs]
+        parts = [f"{one.target} within {percent(fit.nrmse)}" for one, fit in pairs]
     if all(not list(failed(one)) and one.verdict.kind == "found" for one in eq.equations):
         parts.append("what is left looks like noise")
     return printable(f"checked on {pairs[0][1].n} {where}: {', '.join(parts)}")

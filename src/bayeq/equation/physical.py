@@ -32,7 +32,7 @@ from bayeq.expressions.nodes import jumps_of
 from bayeq.figures.style import named
 from bayeq.forecast.dynamics import Dynamics, Law
 from bayeq.numerics.distributions import Z95
-from bayeq.states import Chain
+from bayeq.states import Chain, Roles
 
 if TYPE_CHECKING:
     from bayeq.equation.equation import Equation
@@ -275,7 +275,7 @@ def _read(law: Law, draws: int, seed: int, span: tuple[float, float] | None) -> 
 def drawn_coefficients(law: Law, count: int, rng: np.random.Generator) -> tuple[Floats, dict[Expression, Floats]]:
     """Draws of the intercept of a law and of the coefficient of each included term, (count,) each."""
     inputs = {name for term in law.terms for name in term.names} - set(law.chain.states)
-    alone = Dynamics.of([law], sorted(inputs))
+    alone = Dynamics.of([law], Roles((law.chain,), tuple(sorted(inputs))))
     constant, *columns = alone.draw(count, rng).T
     return constant, dict(zip(alone.terms[0], columns, strict=True))
 

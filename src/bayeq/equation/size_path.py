@@ -10,6 +10,7 @@ import numpy as np
 
 from bayeq.arrays import Bools, Floats, Ints
 from bayeq.figures.style import BLACK, BLUE, ORANGE, PALE, RED, labelled, log_ticks, new_panels, picture, term_label
+from bayeq.forecast.score import percent
 from bayeq.inference.collapsed.path import DEFAULT_MOST, best_of_each_size, model_log_posterior, partial_shares
 from bayeq.inference.collapsed.slab import exact_posterior
 from bayeq.inference.gram import Gram
@@ -169,12 +170,6 @@ class ParsimonyPath:
             shares = ", ".join(f"{self.names[j]} {percent(self.share[j])}" for j in order)
             lines.append(f"variance that the fit loses without a term: {shares}")
         return "\n".join(lines)
-
-
-def percent(share: float) -> str:
-    """A share of variance as a percentage of two significant digits."""
-    value = 100.0 * share
-    return f"{value:.0f} %" if value >= 10 else f"{value:.2g} %"
 
 
 def _error(r2: float) -> str:

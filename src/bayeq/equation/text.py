@@ -14,11 +14,10 @@ from rich.table import Table
 
 from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation
-from bayeq.equation.size_path import percent
 from bayeq.equation.verdict import LEAST_SHOWN
 from bayeq.equation.written import moment, odds_text, plain_sd, round_to, with_interval
 from bayeq.errors import printable
-from bayeq.forecast.score import Scores, percentages
+from bayeq.forecast.score import Scores, percent, percentages
 from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
 from bayeq.markup import printed, text_console
 from bayeq.states import rates
@@ -293,7 +292,7 @@ def left_beside_noise(equation: Equation) -> str | None:
     share = equation.residuals.discrepancy if equation.error_share is None else equation.error_share
     if share is None:
         return None
-    return percentages({"": share}).strip() if share > LEAST_SHOWN else f"less than {100 * LEAST_SHOWN:g} %"
+    return percent(share) if share > LEAST_SHOWN else f"less than {100 * LEAST_SHOWN:g} %"
 
 
 def _chance(p: float) -> str:

@@ -18,7 +18,7 @@ from bayeq.expressions.implicit import multiplied
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import correlation_time, typical_period, window_runs
 from bayeq.forecast.rows import divided, rows_of
-from bayeq.forecast.score import percentages
+from bayeq.forecast.score import percent
 from bayeq.likelihood.adequacy import Change, Discrepancy, Octave
 from bayeq.likelihood.gains import Suspect
 from bayeq.numerics.settings import EQUATION, LIKELIHOOD
@@ -156,7 +156,7 @@ def doubted(
             f" probability, the likeliest {' and '.join(change) or 'with another constant'}",
             LONGER,
         )
-    unexplained = f"{percentages({'': share}).strip()} of {target} is not explained by these terms"
+    unexplained = f"{percent(share)} of {target} is not explained by these terms"
     # most of what is not explained, by a coefficient that keeps its sign: others may make up for a missing term
     if changing is not None and changing.share > share * math.sqrt(0.5) and not changing.reverses:
         return _changing(changing)
@@ -255,7 +255,7 @@ def alike(dynamics: Dynamics, motion: Motion) -> tuple[str, ...]:
     A holds what equations multiply highest derivatives of each other by (`bayeq.expressions.implicit`). The determinant
     depends on no unit, and its error is that of the entries times their cofactors.
     """
-    targets = [chain.target for chain in dynamics.chains]
+    targets = dynamics.roles.targets
     coupled = [
         (c, *part, coef, sd)
         for c, (law, members) in enumerate(zip(dynamics.laws, dynamics.terms, strict=True))
@@ -340,7 +340,7 @@ def window_errors(dynamics: Dynamics, motion: Motion) -> Sequence[tuple[float, s
 
 def _errors_by_chain(dynamics: Dynamics, windows: Sequence[tuple[Floats, Floats]]) -> list[float | None]:
     out, first = list[float | None](), 0
-    for chain in dynamics.chains:
+    for chain in dynamics.roles.chains:
         if chain.static:
             out.append(None)
             continue

@@ -65,24 +65,18 @@ class Dynamics:
     """
 
     laws: tuple[Law, ...]  # the equations
-    inputs: tuple[str, ...]  # names of the inputs
+    roles: Roles  # their chains, inputs, and whether terms may use t, the time [s]: the last of what drives a run
     terms: tuple[tuple[Expression, ...], ...]  # the terms that each equation includes
     intercepts: tuple[bool, ...]  # equations that have an intercept
     # of states, inputs, t (if it is used) and parameters; its outputs are the states' derivatives, then the targets.
     # The parameters are, equation by equation, the intercept (if there is one) and the coefficients of the terms.
     tape: Tape
-    timed: bool = False  # whether terms may use t, the time [s]: the last of what drives a run
 
     @classmethod
     def of(
-        cls,
-        laws: Sequence[Law],
-        inputs: Sequence[str],
-        intercepts: Sequence[bool] | None = None,
-        timed: bool = False,
-        forced: bool = False,
+        cls, laws: Sequence[Law], roles: Roles, intercepts: Sequence[bool] | None = None, forced: bool = False
     ) -> Dynamics:
-        """From the terms that equations include; nothing is compiled to machine code for them.
+        """From the terms that equations, one per chain, include; nothing is compiled to machine code for them.
 
         By default all have an intercept. Where they are `forced`, each equation with `error_lines` has a force too;
         these are the last of what drives a run.
@@ -90,7 +84,6 @@ class Dynamics:
         kept = [tuple(compress(law.terms, law.posterior.support)) for law in laws]
         constant = (True,) * len(kept) if intercepts is None else tuple(intercepts)
         slopes: list[Expression] = []
-        targets: list[Expression] = []
         parameters: list[str] = []
         forces: list[str] = []
         one = Expression(Number(1))
@@ -104,44 +97,27 @@ class Dynamics:
                 forces.append(f"force[{k}]")
                 own.append((forces[-1], one))
             summed.append([(Symbol(name), term) for name, term in own])
-        sides, _ = solved(summed, [law.chain.target for law in laws])
+        sides, _ = solved(summed, roles.targets)
         for law, side in zip(laws, sides, strict=True):
-            targets.append(Expression(side))
             above = [*map(Symbol, law.chain.states[1:]), side]
             factors = rates(law.chain, law.unit_gains)
             for factor, node in zip(factors, above, strict=False):  # a static law gives no derivative
                 slopes.append(Expression(node if factor == 1.0 else Binary("*", number(factor), node)))
-        states = [name for law in laws for name in law.chain.states]
-        drivers = Roles((), tuple(inputs), timed).drivers
-        tape = Tape.compile([*slopes, *targets], [*states, *drivers, *forces, *parameters])
-        return cls(tuple(laws), tuple(inputs), tuple(kept), constant, tape, timed)
+        variables = [*roles.states, *roles.drivers, *forces, *parameters]
+        tape = Tape.compile([*slopes, *map(Expression, sides)], variables)
+        return cls(tuple(laws), roles, tuple(kept), constant, tape)
 
     @classmethod
     def on(cls, motion: Motion, terms: Sequence[Expression], posteriors: Sequence[Posterior]) -> Dynamics:
         """From the posterior of each equation of some motion, all of the same candidate terms."""
         parts = zip(motion.roles.chains, posteriors, motion.unit_gains, strict=True)
         laws = [Law(chain, terms, posterior, gains.tolist()) for chain, posterior, gains in parts]
-        return cls.of(laws, motion.roles.inputs, timed=motion.roles.timed)
-
-    @cached_property
-    def chains(self) -> tuple[Chain, ...]:
-        """One per equation."""
-        return tuple(law.chain for law in self.laws)
-
-    @property
-    def roles(self) -> Roles:
-        """Chains and inputs."""
-        return Roles(self.chains, self.inputs, self.timed)
+        return cls.of(laws, motion.roles)
 
     @cached_property
     def states(self) -> tuple[str, ...]:
         """Names of the states, in the tape's order."""
-        return tuple(name for chain in self.chains for name in chain.states)
-
-    @cached_property
-    def targets(self) -> tuple[str, ...]:
-        """Names of the left-hand sides, in the tape's order."""
-        return tuple(chain.target for chain in self.chains)
+        return self.roles.states
 
     @property
     def size(self) -> int:

@@ -346,8 +346,7 @@ class Motions:
     def _rest(self, spans: Sequence[tuple[float, float] | None]) -> Floats:
         from scipy.optimize import root
 
-        chains = self.dynamics.chains
-        lowest = [k == 0 for chain in chains for k in range(len(chain.states))]
+        lowest = [k == 0 for chain in self.dynamics.roles.chains for k in range(len(chain.states))]
         middle = np.array([0.5 * sum(span or ()) if low else 0.0 for span, low in zip(spans, lowest, strict=True)])
         program = self.dynamics.program(self.dynamics.mean)
         still = interpolant(np.array([0.0, 1.0]), np.tile(self.conditions.offset, (2, 1)), "hold")
@@ -373,7 +372,7 @@ class Motions:
         states, stopped, _ = mean_run(self.dynamics, self.dynamics.mean, self.first, drive)
         if stopped is not None:
             return None
-        return dict(zip((*self.dynamics.states, *self.dynamics.inputs), (*states.T, *inputs.T), strict=True))
+        return dict(zip((*self.dynamics.states, *self.dynamics.roles.inputs), (*states.T, *inputs.T), strict=True))
 
     def keeps(self, columns: Mapping[str, Floats] | None) -> bool:
         """Whether a motion is within the limits."""

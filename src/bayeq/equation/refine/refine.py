@@ -118,7 +118,7 @@ def refine(
     kinds: list[Interpolation] = ["cubic"]
     if isinstance(interpolation, str):
         kinds = [interpolation]
-    elif dynamics.inputs:
+    elif dynamics.roles.inputs:
         kinds = list(dict.fromkeys([*KINDS, *interpolation.values()]))
     share = held_out_share(holdout, sum(one.n for one in records))
     measured = motion = estimate_motion(records, dynamics.roles, smooth, share, sensors)
@@ -236,7 +236,7 @@ def _refined(
 ) -> tuple[Posterior, dict[str, Any]]:
     """The k-th equation: its posterior, and by attribute its fits and residuals, of the rows used and held out."""
     parameters, covariance = found.parameters[block], found.covariance[block, block]
-    target, free = dynamics.targets[k], found.free[block]
+    target, free = dynamics.roles.targets[k], found.free[block]
 
     def residuals_of(pieces: Sequence[Rows]) -> list[Floats]:
         terms = dynamics.terms[k]
@@ -244,7 +244,7 @@ def _refined(
 
     residuals = residuals_of(train)
     noise = sum(float(e @ e) for e in residuals) / max(sum(map(len, residuals)) - int(free.sum()), 1)
-    names = (*dynamics.inputs, *dynamics.chains[k].states)
+    names = (*dynamics.roles.inputs, *dynamics.laws[k].chain.states)
     return _posterior(dynamics.laws[k].posterior, parameters, covariance, free, noise), {
         "train": _fit([rows.columns[target] for rows in train], residuals),
         "held_out": _fit([rows.columns[target] for rows in held_out], residuals_of(held_out)) if held_out else None,
@@ -256,7 +256,7 @@ def _at_bound(dynamics: Dynamics, found: OutputError) -> tuple[str, ...]:
     """Coefficients that were at the end of their known sign, or at a bound, with their target in front."""
     return tuple(
         f"{target}: {term.text}" + (f" = {there:.6g}" if there else "")
-        for target, terms, block in zip(dynamics.targets, dynamics.terms, dynamics.blocks(), strict=True)
+        for target, terms, block in zip(dynamics.roles.targets, dynamics.terms, dynamics.blocks(), strict=True)
         for term, there in zip(terms, found.at_bound[block][-len(terms) :], strict=True)
         if np.isfinite(there)
     )
