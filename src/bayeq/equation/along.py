@@ -164,14 +164,16 @@ def refinement(eq: Found, records: Sequence[Record], holdout: float, interpolati
         message = f"not refined: {found.reason}; the equations are returned as they were: {found.advice}"
         warnings.warn(message, ConvergenceWarning, stacklevel=3)
         return eq
-    found.log.emit(stacklevel=4)
+    refined, summary, of_held_out, doubts = found
+    for message, category in doubts:
+        warnings.warn(message, category, stacklevel=3)
     return replace(
         eq,
         equations=EquationTuple(
             old.with_posterior(posterior, **changes)
-            for old, (posterior, changes) in zip(eq.equations, found.equations, strict=True)
+            for old, (posterior, changes) in zip(eq.equations, refined, strict=True)
         ),
-        warnings=(*eq.warnings, *found.log.messages),
-        scores=found.scores,
-        refined=found.summary,
+        warnings=(*eq.warnings, *(message for message, _ in doubts)),
+        scores=of_held_out,
+        refined=summary,
     )
