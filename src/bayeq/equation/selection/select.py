@@ -22,9 +22,9 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -32,7 +32,7 @@ from bayeq.arrays import Bools
 from bayeq.errors import InputError, require_number
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import apart, typical_period, window_runs
-from bayeq.forecast.rows import Rows, divided, rows_of
+from bayeq.forecast.rows import divided, rows_of
 from bayeq.inference.collapsed.path import DEPENDENT, best_of_each_size, best_without_one, partial_shares, path_sizes
 from bayeq.inference.collapsed.problem import gram_block
 from bayeq.inference.engines import ENGINES
@@ -44,6 +44,7 @@ from bayeq.regression.joint import refitted
 from bayeq.states import Motion
 
 Errors = Mapping[float, float]
+Runs = Callable[[Sequence[Posterior]], Errors]
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +159,7 @@ def select(fits: Sequence[RegressionFit], rules: Rules, motion: Motion, whole: b
     tolerance = rules.tolerance or SELECTION.tolerance
     if compared:
         moves = motion.timed and bool(motion.roles.states)
-        chosen = _decided(chosen, tolerance, FreeRuns(motion, fits) if moves else None)
+        chosen = _decided(chosen, tolerance, partial(run_errors, motion, fits) if moves else None)
     chosen = _refitted([_limited(one, rules.max_terms) for one in chosen])
     nearly = [
         k
@@ -168,26 +169,17 @@ def select(fits: Sequence[RegressionFit], rules: Rules, motion: Motion, whole: b
     return _simplified(chosen, nearly, tolerance, motion) if compared and motion.timed else chosen
 
 
-class FreeRuns:
-    """Errors of free runs of a system, of one fit per equation, over windows of the training rows, which have time."""
+def run_errors(motion: Motion, fits: Sequence[RegressionFit], posteriors: Sequence[Posterior]) -> Errors:
+    """Errors of free runs of a system over windows of the training rows, as shares of the states' spread.
 
-    def __init__(self, motion: Motion, fits: Sequence[RegressionFit]) -> None:
-        self.motion, self.fits = motion, fits
-
-    @cached_property
-    def pieces(self) -> list[Rows]:
-        """The training rows with their inputs interpolated."""
-        return divided(self.motion, rows_of(self.motion, "a free run"))[0]
-
-    def errors(self, posteriors: Sequence[Posterior]) -> Errors:
-        """Of one posterior per equation: error as a share of the states' spread, by the length of runs in periods."""
-        expanded = [fit.expanded(one) for fit, one in zip(self.fits, posteriors, strict=True)]
-        dynamics = Dynamics.on(self.motion, self.fits[0].regression.design.terms, expanded)
-        period = typical_period(dynamics, self.pieces)
-        return {
-            periods: apart(window_runs(dynamics, self.pieces, periods * period))
-            for periods in (SELECTION.short_run, SELECTION.long_run)
-        }
+    There are a fit and a posterior for each equation; errors are by the length of runs in periods.
+    """
+    expanded = [fit.expanded(one) for fit, one in zip(fits, posteriors, strict=True)]
+    dynamics = Dynamics.on(motion, fits[0].regression.design.terms, expanded)
+    train, _ = divided(motion, rows_of(motion, "a free run"))
+    period = typical_period(dynamics, train)
+    lengths = (SELECTION.short_run, SELECTION.long_run)
+    return {periods: apart(window_runs(dynamics, train, periods * period)) for periods in lengths}
 
 
 def hardly_worse(fewer: Errors, whole: Errors, tolerance: float) -> bool:
@@ -208,13 +200,11 @@ def _likeliest_part(one: Selection) -> Selection:
     return one.given(fit.given(parts[0]), "undecided" if alike else "dependent")
 
 
-def _decided(chosen: Sequence[Selection], tolerance: float, runs: FreeRuns | None) -> list[Selection]:
+def _decided(chosen: Sequence[Selection], tolerance: float, runs: Runs | None) -> list[Selection]:
     """The likeliest models, where the included terms are not what the average says."""
-    included, out = [one.shown for one in chosen], []
-    for k, one in enumerate(chosen):
-        instead = likeliest_instead(one.fit, k, included, runs, tolerance)
-        out.append(one if instead is None else one.given(instead, "undecided"))
-    return out
+    included = [one.shown for one in chosen]
+    likeliest = [likeliest_instead(one.fit, k, included, runs, tolerance) for k, one in enumerate(chosen)]
+    return [one if it is None else one.given(it, "undecided") for one, it in zip(chosen, likeliest, strict=True)]
 
 
 def prediction_difference(rows: Gram, one: Posterior, other: Posterior) -> float:
@@ -231,14 +221,14 @@ def prediction_difference(rows: Gram, one: Posterior, other: Posterior) -> float
 
 
 def likeliest_instead(
-    fit: RegressionFit, k: int, found: Sequence[Posterior], runs: FreeRuns | None, tolerance: float
+    fit: RegressionFit, k: int, found: Sequence[Posterior], runs: Runs | None, tolerance: float
 ) -> Posterior | None:
     """The likeliest model of equation k, of which `fit` is, where the included terms are not what the average says.
 
     Collinear terms share their probability, so that none of several forms of damping may reach 0.5, however sure it is
     that there is damping. The average has it. So where the predictions or free runs of the included terms are further
     from its than the tolerance, and those of the likeliest model less so, that is the one to show. `found` are the
-    posteriors of every equation given its included terms; `runs` are None without time.
+    posteriors of every equation given its included terms; `runs` gives errors of free runs, None without time.
     """
     included = found[k]
     if included.average is None or included.averaged is None or not len(included.average.models):
@@ -255,15 +245,11 @@ def likeliest_instead(
         return likeliest
     if runs is None:
         return None
-    errors = runs.errors(_with(found, k, mean))
-    if not errors[SELECTION.short_run] < SELECTION.follows or hardly_worse(runs.errors(found), errors, tolerance):
+    errors, former = runs([*found[:k], mean, *found[k + 1 :]]), runs(found)
+    if not errors[SELECTION.short_run] < SELECTION.follows or hardly_worse(former, errors, tolerance):
         return None
-    instead = runs.errors(_with(found, k, likeliest))
-    return likeliest if hardly_worse(instead, runs.errors(found), 0.0) else None
-
-
-def _with(posteriors: Sequence[Posterior], k: int, one: Posterior) -> list[Posterior]:
-    return [one if other == k else former for other, former in enumerate(posteriors)]
+    instead = runs([*found[:k], likeliest, *found[k + 1 :]])
+    return likeliest if hardly_worse(instead, former, 0.0) else None
 
 
 def _simplified(chosen: list[Selection], nearly: Sequence[int], tolerance: float, motion: Motion) -> list[Selection]:
@@ -294,7 +280,7 @@ def _simplified(chosen: list[Selection], nearly: Sequence[int], tolerance: float
 
 
 def _errors(motion: Motion, chosen: Sequence[Selection]) -> Errors:
-    return FreeRuns(motion, [one.shown_fit for one in chosen]).errors([one.shown for one in chosen])
+    return run_errors(motion, [one.shown_fit for one in chosen], [one.shown for one in chosen])
 
 
 def _damping(fit: RegressionFit) -> Bools:
