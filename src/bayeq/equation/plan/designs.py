@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from bayeq.arrays import Floats
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.forecast.dynamics import Dynamics
-from bayeq.forecast.free_run import ANYWHERE, mean_run, state_range
+from bayeq.forecast.free_run import mean_run, state_range
 from bayeq.numerics.rk4 import Drive, interpolant, slope_at
 from bayeq.numerics.settings import PLAN
 from bayeq.records import Record
@@ -336,18 +336,15 @@ class Motions:
     def __init__(self, dynamics: Dynamics, conditions: Conditions) -> None:
         self.dynamics = dynamics
         self.conditions = conditions
-        spans = [conditions.ranges.get(name) for name in dynamics.states]
-        known = [state_range(np.array([[low], [high]])) for low, high in (span or (0.0, 0.0) for span in spans)]
-        self.low = np.array([low[0] for low, _ in known])
-        self.high = np.array([high[0] for _, high in known])
-        self.limits = np.array([conditions.limits.get(name, ANYWHERE) for name in dynamics.states])
-        self.first = self._rest(spans)
+        ends = np.array([conditions.ranges.get(name, (0.0, 0.0)) for name in dynamics.states])
+        self.low, self.high = state_range(ends.T)
+        self.first = self._rest(ends)
 
-    def _rest(self, spans: Sequence[tuple[float, float] | None]) -> Floats:
+    def _rest(self, ends: Floats) -> Floats:
         from scipy.optimize import root
 
         lowest = [k == 0 for chain in self.dynamics.roles.chains for k in range(len(chain.states))]
-        middle = np.array([0.5 * sum(span or ()) if low else 0.0 for span, low in zip(spans, lowest, strict=True)])
+        middle = np.where(lowest, ends.mean(axis=1), 0.0)
         program = self.dynamics.program(self.dynamics.mean)
         still = interpolant(np.array([0.0, 1.0]), np.tile(self.conditions.offset, (2, 1)), "hold")
 
@@ -358,10 +355,9 @@ class Motions:
 
         with np.errstate(all="ignore"):
             found = root(slope, middle)
-        inside = all(
-            span is None or span[0] <= value <= span[1] for span, value in zip(spans, found.x, strict=True)
-        ) and bool(np.isfinite(found.x).all())
-        return np.asarray(found.x) if found.success and inside else middle
+        unknown = [name not in self.conditions.ranges for name in self.dynamics.states]
+        inside = unknown | ((ends[:, 0] <= found.x) & (found.x <= ends[:, 1]))
+        return np.asarray(found.x) if found.success and (inside & np.isfinite(found.x)).all() else middle
 
     def run(self, shape: Floats, share: float) -> Mapping[str, Floats] | None:
         """States and inputs under ``offset + share reach shape``, of shape (n, m); None if they leave every range."""
@@ -374,12 +370,10 @@ class Motions:
             return None
         return dict(zip((*self.dynamics.states, *self.dynamics.roles.inputs), (*states.T, *inputs.T), strict=True))
 
-    def keeps(self, columns: Mapping[str, Floats] | None) -> bool:
-        """Whether a motion is within the limits."""
-        if columns is None:
-            return False
-        peaks = [np.abs(columns[name]).max() for name in self.dynamics.states]
-        return bool((np.array(peaks) <= self.limits).all())
+    def keeps(self, shape: Floats, share: float) -> bool:
+        """Whether a run is within the limits."""
+        columns, limits = self.run(shape, share), self.conditions.limits
+        return columns is not None and all(np.abs(columns[name]).max() <= most for name, most in limits.items())
 
 
 def largest_share(motions: Motions, realisations: Sequence[Floats]) -> float:
@@ -389,7 +383,7 @@ def largest_share(motions: Motions, realisations: Sequence[Floats]) -> float:
     """
 
     def fits(scale: float) -> bool:
-        return all(motions.keeps(motions.run(shape, scale)) for shape in realisations)
+        return all(motions.keeps(shape, scale) for shape in realisations)
 
     if fits(1.0):
         return 1.0
