@@ -43,19 +43,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class RunnerUp:
-    """A model one move away from the chosen one.
+    """A model one move away from the chosen one."""
 
-    Attributes
-    ----------
-    leaves, enters : str or None
-        Term taken out of and put into the chosen model.
-    log_odds : float
-        Log posterior odds against the chosen model, ln p(runner-up | y) / p(chosen | y).
-    """
-
-    leaves: str | None
-    enters: str | None
-    log_odds: float
+    leaves: str | None  # term taken out of the chosen model
+    enters: str | None  # term put into it
+    log_odds: float  # ln p(runner-up | y) / p(chosen | y)
 
     @property
     def odds(self) -> str:

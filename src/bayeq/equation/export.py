@@ -283,8 +283,6 @@ MOST_PLACES = 12
 def sum_in_latex(parts: Sequence[tuple[float, float, str]], uncertainty: Uncertainty) -> str:
     r"""A sum of numbers, with standard deviations, times terms in LaTeX.
 
-    Examples
-    --------
     >>> sum_in_latex([(-992.61, 2.64, "x"), (-2.0e-7, 3.1e-9, "v"), (1.5, 0.012, "")], "brackets")
     '-992.6(2.6)\\,x - 2.000(31) \\times 10^{-7}\\,v + 1.500(12)'
     >>> sum_in_latex([(-992.61, 2.64, "x")], "plus-minus")

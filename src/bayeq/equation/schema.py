@@ -65,8 +65,6 @@ def _schema() -> dict[str, Any]:
 def first_fault(content: object) -> str | None:
     """The first thing in some JSON that the schema does not allow, with its place; None if there is none.
 
-    Examples
-    --------
     >>> first_fault({"method": 1})
     'data is missing'
     """

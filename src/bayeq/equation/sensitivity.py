@@ -239,8 +239,6 @@ def prior_sensitivity(
 
     InputError: values out of range, or every term forced or forbidden.
 
-    Examples
-    --------
     >>> import numpy as np
     >>> from bayeq.inference.gram import Gram
     >>> rng = np.random.default_rng(1)

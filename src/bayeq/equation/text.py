@@ -361,8 +361,6 @@ def short_names(texts: Sequence[str], longest: int) -> dict[str, str]:
 
     Beginning and end are kept. Names that would look alike are shortened less.
 
-    Examples
-    --------
     >>> short_names(["x", "displacement_of_mass_1**3", "displacement_of_mass_2"], 12)
     {'displacement_of_mass_1': 'displa…ass_1', 'displacement_of_mass_2': 'displa…ass_2'}
     """
@@ -381,8 +379,6 @@ def short_names(texts: Sequence[str], longest: int) -> dict[str, str]:
 def with_names(text: str, names: Mapping[str, str]) -> str:
     """A term with some of its names replaced.
 
-    Examples
-    --------
     >>> with_names("displacement**3*dis", {"displacement": "dis…ent"})
     'dis…ent**3*dis'
     """

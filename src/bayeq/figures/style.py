@@ -237,8 +237,6 @@ def mathtext(expression: str, order: tuple[str, ...] = ()) -> str:
 
     Factors stand in the order of these names; otherwise alphabetical.
 
-    Examples
-    --------
     >>> print(mathtext("x**2*v", order=("x", "v")), mathtext("v*abs(x)"), mathtext("sign(v)"), mathtext("-cF/m"))
     $x^{2} v$ $v\,|x|$ $\mathrm{sgn}(v)$ $-c_{F}/m$
     """

@@ -74,8 +74,6 @@ class Scores:
 def percentages(errors: Mapping[str, float]) -> str:
     """Errors as text.
 
-    Examples
-    --------
     >>> percentages({"x": 0.0123, "v": 0.57})
     'x 1.2 %, v 57 %'
     """

@@ -137,8 +137,6 @@ class Measured:
 def band_of(samples: NDArray[np.float64], fs: float) -> tuple[float, float] | None:
     """Frequencies [Hz] between which the power of a signal is; None of a constant.
 
-    Examples
-    --------
     >>> time = np.arange(1000) / 100
     >>> low, high = band_of(np.sin(2 * np.pi * 3 * time) + np.sin(2 * np.pi * 7 * time), fs=100)
     >>> round(low, 6), round(high, 6)

@@ -100,8 +100,6 @@ def _centred(D: Floats) -> tuple[Floats, Floats]:
 def unexplained(y: Floats, D: Floats) -> float:
     """Sum of squares that least squares on the columns of D, with an intercept, leaves of y.
 
-    Examples
-    --------
     >>> x = np.linspace(-1, 1, 1001)
     >>> unexplained(3 * x + 2, x[:, None]) < 1e-20
     True
@@ -123,8 +121,6 @@ def seconds_until(needed: float, rate: float, occam: float, fs: float) -> float:
     `needed` in nats, `rate` is lambda by second, at least 0, `occam` the coefficients that the rival has more, `fs` in
     Hz.
 
-    Examples
-    --------
     >>> round(seconds_until(10.0, 2.0, 0, 100.0), 6)
     5.0
     >>> seconds_until(10.0, 0.0, -1, 100.0)

@@ -256,8 +256,6 @@ class Plan:
 def duration(seconds: float) -> str:
     """A time as text.
 
-    Examples
-    --------
     >>> [duration(t) for t in (0.0, 0.0312, 12.4, 400.0, 9000.0, 1e30)]
     ['0 s', '0.031 s', '12 s', '6.7 min', '2.5 h', 'never']
     """

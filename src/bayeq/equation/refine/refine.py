@@ -190,8 +190,6 @@ def runs_are_worse(before: Iterable[tuple[Floats, Floats]], after: Iterable[tupl
 
     Both are pairs of run and states from `bayeq.forecast.free_run.window_runs`.
 
-    Examples
-    --------
     >>> exact, off, further = (np.full((10, 1), error) for error in (0.0, 1.0, 2.0))
     >>> runs_are_worse([(off, exact)] * 12, [(further, exact)] * 12)
     True

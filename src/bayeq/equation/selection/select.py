@@ -49,24 +49,12 @@ Runs = Callable[[Sequence[Posterior]], Errors]
 
 @dataclass(frozen=True, slots=True)
 class LeftOut:
-    """A term that is included and not shown.
-
-    Attributes
-    ----------
-    name : str
-        The term.
-    pip : float
-        Its posterior inclusion probability.
-    share : float
-        What R2 loses on the training rows when it is left out of the included terms and the others are refitted.
-    reason : str
-        ``"dependent"``, ``"max_terms"``, ``"tolerance"`` or ``"undecided"``.
-    """
+    """A term that is included and not shown."""
 
     name: str
-    pip: float
-    share: float
-    reason: str
+    pip: float  # its posterior inclusion probability
+    share: float  # what R2 loses on the training rows without it, the other included terms refitted
+    reason: str  # "dependent", "max_terms", "tolerance" or "undecided"
 
 
 @dataclass(frozen=True, slots=True)
