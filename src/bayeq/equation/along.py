@@ -5,24 +5,23 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from bayeq.arrays import Floats
 from bayeq.equation.answer import Answer, EquationTuple
+from bayeq.equation.refine.output_error import Unrefined
+from bayeq.equation.refine.refine import refine
 from bayeq.errors import ConvergenceWarning, DataWarning, InputError
 from bayeq.forecast.free_run import Forecast, forecast
 from bayeq.forecast.rows import Courses
 from bayeq.forecast.score import Scores, score_records
-from bayeq.numerics.rk4 import check_interpolation
+from bayeq.numerics.rk4 import Interpolation, check_interpolation
 from bayeq.records import Record
 from bayeq.records.record import in_units
 from bayeq.states import Roles, Sensors, Smooth, estimate_motion
 from bayeq.states.prepare import cleaned, divided_at_gaps, has_all
-
-if TYPE_CHECKING:
-    from bayeq.numerics.rk4 import Interpolation
 
 Found = TypeVar("Found", bound=Answer)
 
@@ -137,9 +136,6 @@ def refinement(eq: Found, records: Sequence[Record], holdout: float, interpolati
     """See `Equations.refine`."""
     if eq.roles.hidden:
         raise InputError("refine needs every state measured: leave it out, the coefficients are those of all rows")
-    from bayeq.equation.refine.output_error import Unrefined
-    from bayeq.equation.refine.refine import refine
-
     check_interpolation(interpolation)
     if eq.roles.discrete:
         raise InputError("a map is not refined: its coefficients are those of the likelihood of the record already")

@@ -14,13 +14,14 @@ from numpy.typing import ArrayLike
 from bayeq.arrays import Floats
 from bayeq.dictionary.ranges import ConstantEstimate
 from bayeq.equation.equation import Equation
-from bayeq.equation.export import Uncertainty
+from bayeq.equation.export import Uncertainty, derivatives, to_callable, to_code
 from bayeq.equation.plan.designs import Measured
 from bayeq.equation.refine.refine import Refinement
 from bayeq.equation.verdict import Verdict, worst
 from bayeq.errors import InputError
 from bayeq.expressions import Binary, Evaluator, Expression, Symbol
 from bayeq.expressions.functions import TIME
+from bayeq.forecast.dynamics import Dynamics, Law, solved_laws
 from bayeq.forecast.score import Scores
 from bayeq.inference.posterior import Posterior
 from bayeq.numerics.rk4 import Interpolation
@@ -32,8 +33,6 @@ from bayeq.states import Chain, Motion, Roles, Sensors, Smooth
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from bayeq.forecast.dynamics import Dynamics, Law
 
 # The constant as a term, as libraries of polynomials call it.
 CONSTANT = "1"
@@ -302,8 +301,6 @@ class Answer:
         MissingExtraError
             JAX is not installed.
         """
-        from bayeq.equation.export import to_callable
-
         return to_callable([equation.law for equation in self.equations], self.inputs, self.roles.timed, module)
 
     def to_code(self, language: str) -> str:
@@ -321,8 +318,6 @@ class Answer:
         InputError
             Terms that the language cannot express.
         """
-        from bayeq.equation.export import to_code
-
         return to_code([equation.law for equation in self.equations], self.inputs, self.roles.timed, language)
 
     def to_python(self) -> str:
@@ -347,8 +342,6 @@ class Answer:
             In the unit of each state per second, also where the channels of a chain have units that do not belong
             together (see `Equation.unit_gains`). Where there are static laws alone: their targets.
         """
-        from bayeq.equation.export import derivatives
-
         values = _numbers(state, "the state")
         if values.shape != (len(self.states),):
             raise InputError(f"the state has {len(self.states)} entries {self.states}, got shape {values.shape}")
@@ -365,8 +358,6 @@ class Answer:
     @cached_property
     def _laws(self) -> list[Law]:
         """The laws, each solved for its highest derivative where others stand in it."""
-        from bayeq.forecast.dynamics import solved_laws
-
         return solved_laws([one.law for one in self.equations])
 
     def dynamics(self, intercepts: Sequence[bool] | None = None) -> Dynamics:
@@ -382,8 +373,6 @@ class Answer:
         Dynamics
             What `simulate` integrates.
         """
-        from bayeq.forecast.dynamics import Dynamics
-
         return Dynamics.of([equation.law for equation in self.equations], self.roles, intercepts)
 
 

@@ -16,6 +16,7 @@ from bayeq.equation.plan.designs import EXCITATIONS, Design
 from bayeq.equation.written import finite
 from bayeq.figures.style import BLACK, BLUE, FULL_WIDTH, ORANGE, RED, log_ticks, new_figure, picture
 from bayeq.markup import printed, text_console
+from bayeq.records.io import replacing
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -246,8 +247,6 @@ class Plan:
             The file; it is replaced if it exists.
         """
         import pandas as pd
-
-        from bayeq.records.io import replacing
 
         with replacing(Path(file)) as part:
             pd.DataFrame({"time": self.time, **self.inputs}).to_csv(part, index=False)
