@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -63,32 +64,28 @@ def brief(eq: Answer) -> str:
             *([""] if tabled or one is eq.equations[0] else []),
             *(_law(eq, physical, one, tabled) if physical is not None and one is owner else ()),
             # bold for a terminal; `click.echo` takes it out elsewhere
-            *(f"\x1b[1m{line}\x1b[0m" for line in _wrapped(printable(one.text), "    ")),
+            *(f"\x1b[1m{line}\x1b[0m" for line in _wrapped(one.text, "    ")),
         ]
         explained = one is owner or one.chain.stated
         if tabled or (not explained and len(one.shown) <= MOST_ROWS):
             lines += _table(one, ENGINES[eq.method].score, marked=physical is not None)
         elif not explained:
-            lines += _wrapped(printable(f"    95 % intervals: {_intervals(one, one.shown)}"), "      ")
+            lines += _wrapped(f"    95 % intervals: {_intervals(one, one.shown)}", "      ")
     if physical is not None and owner is None:
         lines += ["", *_quantities(physical)]
         if len(physical) and physical.unexplained and eq.equations[0].chain.order == 2:
-            lines += _wrapped(printable(f"    also in the equation: {', '.join(physical.unexplained)}"), "      ")
-        lines += _wrapped(printable(f"    {physical.note}"), "      ")
+            lines += _wrapped(f"    also in the equation: {', '.join(physical.unexplained)}", "      ")
+        lines += _wrapped(f"    {physical.note}", "      ")
     if physical is not None and any(f" {text.MARK}" in line for line in lines):
         lines += _wrapped(f"    {text.MARK} {text.OVER_MODELS}", "      ")
     above = len(lines)
     lines += ["", *_wrapped(checks(eq))]
     for one in eq.equations:
         which = f"{one.target}: " if len(eq.equations) > 1 else ""
-        small = [[_wrapped(printable(which + said)) for said in text.unseen(one, few, ADVICE)] for few in (FEW, 1)]
-        shortest = min(small, key=lambda said: sum(map(len, said)))
-        lines += [
-            line
-            for said in (*(_wrapped(printable(which + said)) for said in (*failed(one), *series(one))), *shortest)
-            for line in said
-        ]
-    lines += [line for said in text.given_of(eq) for line in _wrapped(printable(said))]
+        small = [[_wrapped(which + said) for said in text.unseen(one, few, ADVICE)] for few in (FEW, 1)]
+        others = (_wrapped(which + said) for said in (*failed(one), *series(one)))
+        lines += chain.from_iterable([*others, *min(small, key=lambda said: sum(map(len, said)))])
+    lines += chain.from_iterable(map(_wrapped, text.given_of(eq)))
     lines += _wrapped(text.source_of(eq, short=True))
     if len(lines) > MOST_LINES >= len(lines) - lines.count("") + 1:
         del lines[above]
@@ -104,9 +101,9 @@ def _owner(eq: Answer) -> Equation | None:
 def _law(eq: Answer, physical: PhysicalParameters, owner: Equation, tabled: bool) -> list[str]:
     """The law in symbols, where it is one of these, its parameters, and the terms that have no place among them."""
     in_symbols, symbols = law_in_symbols(eq, physical), {q.symbol for q in physical}
-    lines = [*([] if in_symbols is None else _wrapped(printable(in_symbols), "    ")), *_quantities(physical)]
+    lines = [*([] if in_symbols is None else _wrapped(in_symbols, "    ")), *_quantities(physical)]
     also = ", ".join(physical.unexplained) if tabled else _intervals(owner, physical.unexplained, "x0" in symbols)
-    return lines + _wrapped(printable(f"    also in the equation: {also}"), "      ") if also else lines
+    return lines + _wrapped(f"    also in the equation: {also}", "      ") if also else lines
 
 
 def _intervals(equation: Equation, names: Sequence[str], without_constant: bool = False) -> str:
@@ -123,7 +120,7 @@ def _marked(row: text.Row) -> str:
 
 
 def _wrapped(words: str, indent: str = "  ") -> list[str]:
-    together = words.replace(" %", "\u00a0%")  # a number and its unit stay on a line
+    together = printable(words).replace(" %", "\u00a0%")  # a number and its unit stay on a line
     lines = textwrap.wrap(together, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
     return [line.replace("\u00a0", " ") for line in lines]
 

@@ -121,7 +121,6 @@ def _fields(kind: Any, saved: Saved, *names: str) -> dict[str, Any]:
 
 
 def _restore(content: Saved) -> Equations:
-    """The equations of content that agrees with the schema."""
     diagnostics = content["diagnostics"]
     data = {name: value for name, value in content["data"].items() if value is not None}
     roles = Roles.parse(data["chains"], inputs=data["inputs"])
@@ -205,7 +204,6 @@ def _restored_equation(content: Saved, k: int, chain: Chain, names: Sequence[str
 
 
 def _restored_posterior(method: str, names: tuple[str, ...], saved: Saved, state: Saved, checks: Saved) -> Posterior:
-    """Of the included terms."""
     terms, listed, average = saved["terms"], state["average"], None
     if listed is not None:
         average = ModelAverage(

@@ -76,7 +76,6 @@ def _is_number(value: Any) -> bool:
 
 
 def _resolved(schema: Schema) -> Schema:
-    """What a schema refers to, if it does."""
     return _schema()["$defs"][schema["$ref"].removeprefix("#/$defs/")] if "$ref" in schema else schema
 
 

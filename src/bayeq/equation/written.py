@@ -236,17 +236,15 @@ class OscillatorUnits:
 
     def scale_force(self) -> float:
         """Of the coefficient of the force."""
-        return self.per_length / (self.acceleration * self.per_force)
+        return self.scale((0, 0)) / self.per_force
 
     def displacement(self) -> str | None:
         """Unit of the displacement; None where it is not known."""
         return None if self.length is None else _written(self.length)
 
     def mass(self) -> str | None:
-        """Unit of the mass; None where it is not known."""
-        if self.length is None or self.force is None:
-            return None
-        return _written(multiply_units(multiply_units(dict(self.force), self.length, -1), {"s": Fraction(2)}))
+        """Unit of the mass, a force by acceleration; None where it is not known."""
+        return self.unit((-1, 2), with_mass=True)
 
     def unit(self, powers: tuple[int, int], with_mass: bool) -> str | None:
         """Unit of the parameter of x**p v**q, as a force or per unit of mass; None where it is not known."""

@@ -10,11 +10,11 @@ import numpy as np
 
 from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
-from bayeq.errors import InputError, RecordError, require_kind, whole_number
+from bayeq.errors import InputError, RecordError, whole_number
 from bayeq.expressions import Expression
 from bayeq.numerics.rk4 import Drive, Interpolation, interpolant, with_time
 from bayeq.records import Record
-from bayeq.states import ChainSmoothing, Motion, Roles
+from bayeq.states import ChainSmoothing, Motion, MotionRows, Roles
 
 # How inputs go between samples: all alike, or each by its name, those without a name as "cubic".
 Courses = Interpolation | Mapping[str, Interpolation]
@@ -73,10 +73,9 @@ def rows_of(motion: Motion, purpose: str, interpolation: Courses | None = None) 
     }
     out = []
     for rows in motion.records:
-        if rows.time is None:
-            raise RecordError(f"{rows.name or 'record'}: {purpose} needs a time column or fs")
-        driven = between(roles, rows.time, rows.columns, interpolation)
-        out.append(Rows(rows.time, {**rows.columns, **rows.observed}, rows.samples, driven, estimated))
+        time = require_time(rows, purpose)
+        driven = between(roles, time, rows.columns, interpolation)
+        out.append(Rows(time, {**rows.columns, **rows.observed}, rows.samples, driven, estimated))
     return out
 
 
@@ -95,9 +94,8 @@ def between(roles: Roles, time: Floats, columns: Mapping[str, Floats], kind: Cou
     return with_time(time, inputs) if roles.timed else inputs
 
 
-def require_time(record: Record, purpose: str) -> Floats:
+def require_time(record: Record | MotionRows, purpose: str) -> Floats:
     """Sampling times of a record; RecordError if it has none."""
-    require_kind(record, Record, "the record", "a Record")
     if record.time is None:
         raise RecordError(f"{record.name or 'record'}: {purpose} needs a time column or fs")
     return record.time

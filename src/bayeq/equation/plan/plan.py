@@ -207,7 +207,6 @@ def _members(model: Posterior) -> tuple[int, ...]:
 
 
 def _named(equation: Equation, leading: Posterior) -> Compared:
-    """A leading model by its terms."""
     members = _members(leading)
     probability = next((model.probability for model in equation.models if model.members == members), None)
     return Compared(equation.target, ", ".join(equation.terms[j].text for j in members) or "no terms", probability)

@@ -352,7 +352,6 @@ def _short(plan: Plan, rival: Compared) -> str:
 
 
 def _models(plan: Plan) -> list[str]:
-    """The models compared."""
     out = []
     for model in plan.leading:
         chance = "" if model.probability is None else f", probability {model.probability:.2g}"

@@ -63,7 +63,8 @@ def alternatives_to(fit: RegressionFit, shown: Posterior, tolerance: float, exac
     regression = fit.regression
     terms, motion = regression.design.terms, regression.motion
     spread = regression.rows.target_deviation
-    columns, odd = [evaluate_terms(terms, points) for points in _points(motion, terms)], _odd(fit)
+    points = _points(motion, terms)
+    columns, odd = [evaluate_terms(terms, some) for some in points], _odd(fit, points[0])
     heavy = np.flatnonzero(average.probability >= LEAST)
     total, found = 0.0, Alternatives(0.0)
     for k in heavy.tolist():
@@ -83,13 +84,12 @@ def alternatives_to(fit: RegressionFit, shown: Posterior, tolerance: float, exac
     return Alternatives(total, found.enter, found.leave)
 
 
-def _odd(fit: RegressionFit) -> Floats:
+def _odd(fit: RegressionFit, points: dict[str, Floats]) -> Floats:
     """Of each term, what changes its sign with the velocities of oscillators, (rows, P); nothing in other equations."""
-    terms, motion = fit.regression.design.terms, fit.regression.motion
-    points = _points(motion, terms)[0]
-    if fit.regression.chain.order < 2 or motion.roles.discrete:
+    terms, roles = fit.regression.design.terms, fit.regression.motion.roles
+    if fit.regression.chain.order < 2 or roles.discrete:
         return np.zeros((1, len(terms)))
-    back = {chain.states[-1] for chain in motion.roles.chains if chain.order > 1}
+    back = {chain.states[-1] for chain in roles.chains if chain.order > 1}
     turned = {name: -values if name in back else values for name, values in points.items()}
     with np.errstate(all="ignore"):
         return np.nan_to_num(0.5 * (evaluate_terms(terms, points) - evaluate_terms(terms, turned)))
