@@ -48,10 +48,7 @@ def prepared(eq: Answer, records: Sequence[Record], divide: bool = False, level:
 
 
 def in_units_of(eq: Answer, record: Record) -> tuple[Record, list[str]]:
-    """A record in the units of equations, where both are known, and what was converted.
-
-    InputError for a unit that cannot be converted.
-    """
+    """A record in the units of equations, where both are known, and what was converted; InputError if it cannot be."""
     wanted = {name: unit for name, unit in eq.units.items() if name in eq.roles.channels}
     record, notes, others = in_units(record, wanted)
     for name in others:

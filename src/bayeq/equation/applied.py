@@ -124,11 +124,7 @@ class Prediction:
 
 
 def as_equations_have_them(equations: Equations, record: Record) -> tuple[Record, list[str]]:
-    """A record in the units of the equations, and what was converted or taken to be in them.
-
-    InputError for a unit that cannot be converted, or a time that is known where that of the equations is not, or the
-    reverse.
-    """
+    """A record in the units and time of the equations, and what was converted or taken; InputError if it cannot be."""
     where = record.name or "record"
     moving = bool(equations.states) and not equations.roles.discrete
     if moving and counts_rows(record) and not equations.data.rows_as_time:

@@ -50,10 +50,7 @@ DERIVED = ("omega_n",)
 
 
 def brief(eq: Answer) -> str:
-    """Verdict, law in physical parameters where there are any, equations, checks and source.
-
-    No equation is printed where none was found.
-    """
+    """Verdict, law in physical parameters where there are any, equations, checks and source; or what to try."""
     lines = _wrapped(f"verdict: {eq.verdict.kind}: {sentence(eq)}")
     if eq.verdict.kind == "none":
         return "\n".join([*lines, "", *_wrapped(what_to_try(eq))])

@@ -26,10 +26,7 @@ VERDICTS = {
 
 
 def explanation(eq: Answer, conditional: bool = False) -> str:
-    """Every part of the printed answer in plain words, for the parts that this answer has.
-
-    With `conditional` it was printed with the intervals given the terms shown.
-    """
+    """The printed answer in plain words; with `conditional` it was printed with the intervals given the terms shown."""
     paragraphs = ["What this says", f"verdict {eq.verdict.kind!r}: {VERDICTS[eq.verdict.kind]}."]
     for equation in eq.equations:
         if len(eq.equations) > 1:

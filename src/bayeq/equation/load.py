@@ -112,10 +112,7 @@ def _value(kind: Any, saved: Any) -> Any:
 
 
 def _fields(kind: Any, saved: Saved, *names: str) -> dict[str, Any]:
-    """Fields of a dataclass that were saved under their own names: all, or those named.
-
-    What an earlier version did not write keeps its default.
-    """
+    """Fields of a dataclass saved under their own names, all or those named; what was not written keeps its default."""
     hints = _hints(kind)
     return {name: _value(hints[name], saved[name]) for name in names or hints if name in saved}
 
@@ -293,10 +290,7 @@ def _column(terms: Sequence[Saved], name: str, known: bool = False) -> Any:
 
 
 def _check_restored(equation: Equation) -> None:
-    """Check that what is computed from an equation is finite.
-
-    ValueError for numbers too large to compute with, BayeqError for units that cannot be read.
-    """
+    """Check that what is computed is finite: ValueError for numbers too large, BayeqError for units that are none."""
     ends = [np.array([*equation.intercept_ci95, *equation.printed_intercept_ci95])]
     with np.errstate(all="ignore"):
         for p in (equation.posterior, equation.shown_posterior):

@@ -441,11 +441,7 @@ def _known(values: Floats) -> bool:
 def _is_displaced(
     coefficients: Mapping[Expression, Floats], constant: bool, x: str, v: str, span: tuple[float, float]
 ) -> bool:
-    """Whether coefficients are about a position of rest: there is one, not at zero, or the spring is no polynomial.
-
-    Of the terms' coefficients only which terms there are counts; `constant` says whether the equation has one, and the
-    span is that of the samples of the displacement `x`.
-    """
+    """Whether there is a position of rest, other than zero within the span, or the spring is no polynomial."""
     alone = [term for term in coefficients if term.names == {x}]
     forced = any(abs(float(evaluate_terms([term], {x: np.zeros(1)})[0, 0])) > 0.0 for term in alone)
     bent = any(_powers(term.tree, x, v) is None and not any(jumps_of(term.tree)) for term in alone)

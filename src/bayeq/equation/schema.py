@@ -155,10 +155,7 @@ ALL_OR_NONE = ("averaged_coef", "averaged_sd", "averaged_ci95", "printed_ci95", 
 
 
 def check_content(content: Saved, chains: Sequence[Chain]) -> None:
-    """Check what the entries of a file, and the chains parsed from it, say of each other; the schema has been checked.
-
-    ValueError: the first thing that is wrong, and where.
-    """
+    """Check what valid entries, and chains parsed from them, say of each other; ValueError says what is wrong."""
     equations, posteriors, data = content["equations"], content["posteriors"], content["data"]
     for place, entries in (("equations", equations), ("posteriors", posteriors)):
         _require(len(entries) == len(chains), f"{place} has {len(entries)} entries, data.chains {len(chains)}")

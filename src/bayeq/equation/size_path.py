@@ -181,10 +181,7 @@ def _error(r2: float) -> str:
 
 
 def parsimony_path(fit: RegressionFit, shown: Bools, most: int | None = None) -> ParsimonyPath:
-    """The path of a regression, about the equation of the terms shown, (P,); see `Equation.path`.
-
-    InputError if `most` is less than the number of forced terms.
-    """
+    """The path of a regression about the terms shown, (P,); see `Equation.path`. InputError if `most` is too small."""
     regression, standard, problem = fit.regression, fit.standard, fit.problem
     limits = fit.prior.limits
     # equalities between coefficients have taken terms, and with them a part of the target, to the left-hand side

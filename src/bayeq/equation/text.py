@@ -58,10 +58,7 @@ def escape(text: str) -> str:
 
 
 def render(eq: Answer, with_warnings: bool = True, conditional: bool = False) -> str:
-    """Text of the equations: styled if standard output is a terminal, plain Markdown otherwise.
-
-    With `conditional`, every interval is that given the terms shown.
-    """
+    """The equations, styled on a terminal, else Markdown; with `conditional` intervals are given the terms shown."""
     console = text_console(WIDE)
     console.print(f"verdict: {escape(str(eq.verdict))}\n")
     for equation in eq.equations:
@@ -323,10 +320,7 @@ class Row:
 
 
 def rows_of(equation: Equation, conditional: bool = False) -> list[Row]:
-    """Terms that are shown, included or likely, constants inside those shown, and last the intercept.
-
-    Intervals are those that are printed; with `conditional` all are given the terms shown.
-    """
+    """Terms shown, included or likely, constants, intercept; with `conditional` intervals are given the terms shown."""
     p, shown, rows = equation.posterior, equation.shown_posterior, list[Row]()
     intervals = equation.shown_ci95 if conditional else equation.printed_ci95
     for j, term in enumerate(() if equation.chain.stated else equation.terms):  # a law that was stated is all in

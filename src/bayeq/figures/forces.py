@@ -43,10 +43,7 @@ def _second_order(equation: style.EquationLike) -> tuple[str, str]:
 
 
 def _measured(equation: style.EquationLike, rows: MotionRows, of: Iterable[str]) -> Floats:
-    """Restoring force per unit mass of the variables `of` at each row, (n,).
-
-    It is the terms of other variables less the acceleration as it was measured.
-    """
+    """Restoring force per mass of the variables `of` at each row, (n,): other terms less the measured acceleration."""
     p = equation.shown_posterior
     others = p.support & ~_own(equation, of)
     D = evaluate_terms([*compress(equation.terms, others)], rows.columns)
@@ -54,10 +51,7 @@ def _measured(equation: style.EquationLike, rows: MotionRows, of: Iterable[str])
 
 
 def _discovered(equation: style.EquationLike, columns: Mapping[str, Floats]) -> tuple[Floats, Floats]:
-    """The restoring force that the equation has found, and its standard deviation, at columns of its variables, (n,).
-
-    The intercept is in it.
-    """
+    """The force that the equation has found, its intercept in it, and its standard deviation at n places, (n,) each."""
     p, own = equation.shown_posterior, _own(equation, columns)
     D = evaluate_terms([*compress(equation.terms, own)], columns)
     # terms of other variables stay at their means

@@ -35,10 +35,7 @@ LAST = 0.2
 
 
 def _compare(ax: Axes, time: Floats, measured: Floats | None, curve: Curve, label: str, of: str = "measured") -> None:
-    """A curve with its band over what was measured, or estimated.
-
-    Limits are those of what was measured, where there is any, for a run may go far away.
-    """
+    """A curve with its band over what was measured, or estimated, which sets the limits: a run may go far away."""
     every = style.thinned(len(time))
     known = curve[0] if measured is None else measured
     known = known[np.isfinite(known)]

@@ -99,10 +99,7 @@ def require_matplotlib() -> None:
 
 @contextmanager
 def style() -> Iterator[None]:
-    """The settings under which a figure is made and written; the caller's own are left as they were.
-
-    MissingExtraError without matplotlib.
-    """
+    """The settings under which a figure is made and written; the caller's own are left as they were."""
     require_matplotlib()
     import matplotlib
 
@@ -304,10 +301,7 @@ def named(kind: str, name: str | None, known: Collection[str]) -> str:
 
 
 def channel_of(run: Run, channel: str | None) -> str:
-    """A state of a free run that is measured, by default the first.
-
-    InputError if no state is measured, UnknownNameError if this one is not.
-    """
+    """A measured state of a free run, by default the first; InputError where none is, UnknownNameError of another."""
     if not run.measured:
         raise InputError("no state of the equations is measured: there is nothing to compare the free run with")
     return named("measured state", channel, run.measured)

@@ -199,10 +199,7 @@ def finest_step(dynamics: Dynamics, parameters: Floats, states: Floats, drive: D
 
 
 def _spread(column: Floats) -> float:
-    """Half of the range between the quantiles that enclose a normal distribution's standard deviation.
-
-    Runs that blow up have values that cannot be squared.
-    """
+    """Half the range of the middle 68 %, a normal distribution's standard deviation: huge values have no squares."""
     finite = column[np.isfinite(column)]
     if not len(finite):
         return 1.0

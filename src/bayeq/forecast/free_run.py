@@ -274,10 +274,7 @@ WINDOWS = 12
 
 
 def state_range(states: Floats) -> tuple[Floats, Floats]:
-    """Where runs are given up: a thousand times the range of the states (n, d), on either side.
-
-    Of a state that was zero throughout nothing is known.
-    """
+    """Where runs are given up: a thousand times the range of the states (n, d) on either side; nowhere if all are 0."""
     low, high = np.nanmin(states, axis=0), np.nanmax(states, axis=0)
     largest = np.maximum(high - low, np.maximum(np.abs(low), np.abs(high)))
     margin = np.where(largest > 0, GENEROUS * largest, ANYWHERE)

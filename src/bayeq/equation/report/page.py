@@ -323,9 +323,7 @@ START = (HERE / "page.js").read_text(encoding="utf-8")
 
 
 def require_report() -> None:
-    """Check that a report can be made, before anything is computed for it; MissingExtraError without matplotlib or
-    Bokeh.
-    """
+    """Check that a report can be made, before anything is computed; MissingExtraError without matplotlib or Bokeh."""
     require_matplotlib()
     with needing("bokeh", "report", "a report with live pictures"):
         import bokeh.plotting  # noqa: F401

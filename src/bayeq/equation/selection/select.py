@@ -67,10 +67,7 @@ class Rules:
     tolerance: float | None = None
 
     def check(self, method: str) -> None:
-        """Check the limits, and that the method's models can be compared.
-
-        InputError for values out of range, or a method without spike-and-slab prior.
-        """
+        """Check the limits, and that the method's models can be compared; InputError otherwise."""
         if self.tolerance is not None:
             require_number(self.tolerance, "tolerance")
         if not 0 <= (self.tolerance or 0) < 1:
@@ -196,10 +193,7 @@ def _decided(chosen: Sequence[Selection], tolerance: float, runs: Runs | None) -
 
 
 def prediction_difference(rows: Gram, one: Posterior, other: Posterior) -> float:
-    """Root mean square difference of predictions over the rows of a Gram, as a share of the target's deviation.
-
-    The Gram and the posteriors are of all P terms, in original units.
-    """
+    """Root mean square difference of predictions over the rows of a Gram of all terms, over the target's deviation."""
     change = one.coef - other.coef
     used = np.flatnonzero(change)
     c = change[used]
@@ -279,10 +273,7 @@ def _damping(fit: RegressionFit) -> Bools:
 
 
 def _refitted(chosen: list[Selection]) -> list[Selection]:
-    """Coefficients of the full models by a fit of their own, where these are not the included terms.
-
-    So the same terms have the same coefficients however they were come by.
-    """
+    """Coefficients by fits of their own where terms are not those included: the same, however they were come by."""
     models = [one.shown.support for one in chosen]
     differ = any(bool((model != one.fit.posterior.support).any()) for one, model in zip(chosen, models, strict=True))
     fits = refitted([one.fit for one in chosen], models) if differ else None
