@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -50,10 +50,6 @@ class Rows:
     def drive(self, low: Floats, high: Floats) -> Drive:
         """What drives a run over these rows, within a range of the states."""
         return Drive.over(self.time, self.driven, low, high)
-
-    def interpolated(self, roles: Roles, kind: Interpolation) -> Rows:
-        """The same with inputs interpolated otherwise, of a whole record."""
-        return replace(self, driven=between(roles, self.time, self.columns, kind))
 
     def nearest(self, time: float) -> int:
         """The row that is nearest to a time."""

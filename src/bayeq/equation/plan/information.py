@@ -85,9 +85,6 @@ def likeliest_models(fit: RegressionFit) -> tuple[CandidateModel, ...]:
 # Directions of the centred and scaled terms below this share of the largest are rounding.
 RANK = 1e-10
 
-# Bisections of a time: to one part in 2^50 of the bracket.
-BISECTIONS = 50
-
 
 def _centred(D: Floats) -> tuple[Floats, Floats]:
     """Columns without their means, of unit length, and their lengths."""
@@ -168,11 +165,10 @@ def seconds_to_halve(gains: Floats, seconds: float) -> float:
 
 def _reached(value: Callable[[float], float], needed: float, low: float, high: float) -> float:
     """Where a rising function reaches a value, not before `low` and perhaps beyond `high`; infinite if nowhere."""
+    from scipy.optimize import brentq
+
     while value(high) < needed:
         high *= 2.0
         if not math.isfinite(high):
             return math.inf
-    for _ in range(BISECTIONS):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if value(middle) < needed else (low, middle)
-    return high
+    return float(brentq(lambda t: value(t) - needed, low, high, xtol=np.finfo(np.float64).tiny))

@@ -14,7 +14,7 @@ from bayeq.equation.refine.output_error import Known, OutputError, Unrefined, ou
 from bayeq.errors import BayeqWarning, ConvergenceWarning, DataWarning, RecordError, some_of
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import apart, typical_period, window_runs
-from bayeq.forecast.rows import Courses, Rows, divided, predicted_target, rows_of
+from bayeq.forecast.rows import Courses, Rows, divided, predicted_target, require_time, rows_of
 from bayeq.forecast.score import Scores, percentages, score_rows
 from bayeq.inference.posterior import Posterior
 from bayeq.numerics.rk4 import Interpolation
@@ -119,7 +119,8 @@ def refine(
         kinds = list(dict.fromkeys([*KINDS, *interpolation.values()]))
     share = held_out_share(holdout, sum(one.n for one in records))
     measured = motion = estimate_motion(records, dynamics.roles, smooth, share, sensors)
-    rows = rows_of(measured, "refine")
+    for rows in measured.records:
+        require_time(rows, "refine")
     if not motion.smoothing:
         motion = estimate_motion(records, dynamics.roles, "auto", share, sensors)
     for piece in motion.train:
@@ -132,8 +133,7 @@ def refine(
     found = output_error(motion, dynamics, dynamics.mean, known, kinds)
     if isinstance(found, Unrefined):
         return found
-    whole = [one.interpolated(dynamics.roles, found.interpolation) for one in rows]
-    train, held_out = divided(measured, whole)
+    train, held_out = divided(measured, rows_of(measured, "refine", found.interpolation))
     duration = REFINE.windows * typical_period(dynamics, train)
     runs = [window_runs(before, train, duration), window_runs(dynamics, train, duration, found.parameters)]
     former, now = (apart(pairs) for pairs in runs)

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import compress
 
 import numpy as np
 
@@ -65,9 +66,8 @@ def alternatives_to(fit: RegressionFit, shown: Posterior, tolerance: float, exac
     spread = regression.rows.target_deviation
     points = _points(motion, terms)
     columns, odd = [evaluate_terms(terms, some) for some in points], _odd(fit, points[0])
-    heavy = np.flatnonzero(average.probability >= LEAST)
-    total, found = 0.0, Alternatives(0.0)
-    for k in heavy.tolist():
+    total, likeliest = 0.0, None
+    for k in np.flatnonzero(average.probability >= LEAST).tolist():
         other = fit.expanded(fit.given(average.models[k]))
         change = np.append(other.coef - shown.coef, other.intercept - shown.intercept)
         differs = any(_root_mean_square(D @ change[:-1] + change[-1]) > tolerance * spread for D in columns)
@@ -76,12 +76,11 @@ def alternatives_to(fit: RegressionFit, shown: Posterior, tolerance: float, exac
         if not differs and not (exact and otherwise):
             continue
         total += float(average.probability[k])
-        if not found.probability:
-            names = np.array([term.text for term in terms])
-            enter = tuple(names[other.support & ~shown.support].tolist())
-            leave = tuple(names[shown.support & ~other.support].tolist())
-            found = Alternatives(total, enter, leave)
-    return Alternatives(total, found.enter, found.leave)
+        likeliest = other.support if likeliest is None else likeliest
+    if likeliest is None:
+        return Alternatives(0.0)
+    enter, leave = (compress(terms, some) for some in (likeliest & ~shown.support, shown.support & ~likeliest))
+    return Alternatives(total, tuple(term.text for term in enter), tuple(term.text for term in leave))
 
 
 def _odd(fit: RegressionFit, points: dict[str, Floats]) -> Floats:
