@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import compress
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -30,9 +31,9 @@ from bayeq.expressions import Binary, Expression, Node, Number, Symbol, parse
 from bayeq.expressions.functions import TIME
 from bayeq.expressions.nodes import jumps_of
 from bayeq.figures.style import named
-from bayeq.forecast.dynamics import Dynamics, Law
+from bayeq.forecast.dynamics import Law, moments, normal_draws
 from bayeq.numerics.distributions import Z95
-from bayeq.states import Chain, Roles
+from bayeq.states import Chain
 
 if TYPE_CHECKING:
     from bayeq.equation.equation import Equation
@@ -260,10 +261,8 @@ def _read(law: Law, draws: int, seed: int, span: tuple[float, float] | None) -> 
 
 def drawn_coefficients(law: Law, count: int, rng: np.random.Generator) -> tuple[Floats, dict[Expression, Floats]]:
     """Draws of the intercept of a law and of the coefficient of each included term, (count,) each."""
-    inputs = {name for term in law.terms for name in term.names} - set(law.chain.states)
-    alone = Dynamics.of([law], Roles((law.chain,), tuple(sorted(inputs))))
-    constant, *columns = alone.draw(count, rng).T
-    return constant, dict(zip(alone.terms[0], columns, strict=True))
+    constant, *columns = normal_draws(*moments(law.posterior), count, rng).T
+    return constant, dict(zip(compress(law.terms, law.posterior.support), columns, strict=True))
 
 
 def _force(inputs: Sequence[str], coefficients: Mapping[str, Floats], force: str | None) -> str | None:
@@ -351,7 +350,7 @@ def system_parameters(
 
 
 def _names(law: Law) -> set[str]:
-    return {name for term, kept in zip(law.terms, law.posterior.support, strict=True) if kept for name in term.names}
+    return {name for term in compress(law.terms, law.posterior.support) for name in term.names}
 
 
 def _tangent(term: Expression, states: Sequence[str]) -> Floats | None:

@@ -135,22 +135,15 @@ class Dynamics:
     @cached_property
     def mean(self) -> Floats:
         """Posterior means of the parameters, (p,)."""
-        parts = []
-        for law, constant in zip(self.laws, self.intercepts, strict=True):
-            p = law.posterior
-            parts.append(np.append(p.intercept, p.coef[p.support])[not constant :])
-        return np.concatenate(parts)
+        parts = zip(self.laws, self.intercepts, strict=True)
+        return np.concatenate([moments(law.posterior)[0][not constant :] for law, constant in parts])
 
     @cached_property
     def covariance(self) -> Floats:
         """Posterior covariance of the parameters given the terms, (p, p); equations are independent."""
         out = np.zeros((self.size, self.size))
         for block, law, constant in zip(self.blocks(), self.laws, self.intercepts, strict=True):
-            # intercept = mean(y) - center'theta, where mean(y) has variance sigma^2/n
-            p = law.posterior
-            carried = p.covariance @ p.constant.center[p.support]
-            whole = np.block([[np.array([[p.intercept_sd**2]]), -carried], [-carried[:, None], p.covariance]])
-            out[block, block] = whole[not constant :, not constant :]
+            out[block, block] = moments(law.posterior)[1][not constant :, not constant :]
         return out
 
     def draw(self, count: int, rng: np.random.Generator) -> Floats:
@@ -164,6 +157,14 @@ class Dynamics:
             first = len(self.tape.variables) - self.size
             program.registers[first : first + self.size] = parameters
         return program
+
+
+def moments(p: Posterior) -> tuple[Floats, Floats]:
+    """Mean (1 + r,) and covariance of the intercept and the coefficients of the included terms."""
+    # intercept = mean(y) - center'theta, where mean(y) has variance sigma^2/n
+    carried = p.covariance @ p.constant.center[p.support]
+    covariance = np.block([[np.array([[p.intercept_sd**2]]), -carried], [-carried[:, None], p.covariance]])
+    return np.append(p.intercept, p.coef[p.support]), covariance
 
 
 def normal_draws(mean: Floats, covariance: Floats, count: int, rng: np.random.Generator) -> Floats:
