@@ -64,34 +64,17 @@ LEAST_ROWS = 5.0
 
 @dataclass(frozen=True, eq=False)
 class PipCurve:
-    """Posterior inclusion probabilities (PIPs) by model averaging as one number varies.
+    """Posterior inclusion probabilities (PIPs) by model averaging as one number varies."""
 
-    Attributes
-    ----------
-    axis_name : str
-        What varies, as the column of the table is named: ``slab_variance`` (v_s), ``prior_inclusion`` (p_0) or
-        ``coarsen`` (the power of the likelihood).
-    names : tuple of str
-        The P candidate terms.
-    values : (K,) array
-        Its values, ascending.
-    pip : (K, P) array
-        PIPs at these values.
-    left_out : (K,) array
-        Posterior mass of models that were not listed, an estimate that errs upwards: a PIP is off by no more.
-    current : int
-        Index of the value that the equation was found with.
-    rows : (K,) array or None
-        Number of rows that the data count for, where it varies.
-    """
-
+    # what varies, as the column of the table is named: "slab_variance" (v_s), "prior_inclusion" (p_0) or "coarsen" (the
+    # power of the likelihood)
     axis_name: str
-    names: tuple[str, ...]
-    values: Floats
-    pip: Floats
-    left_out: Floats
-    current: int
-    rows: Floats | None = None
+    names: tuple[str, ...]  # the P candidate terms
+    values: Floats  # (K,), of what varies, ascending
+    pip: Floats  # (K, P), PIPs at these values
+    left_out: Floats  # (K,), mass of models not listed, an estimate that errs upwards: a PIP is off by no more
+    current: int  # place of the value that the equation was found with
+    rows: Floats | None = None  # (K,), number of rows that the data count for, where it varies
 
     @property
     def listed(self) -> Bools:

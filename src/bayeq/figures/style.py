@@ -129,7 +129,6 @@ def picture(draw: Callable[P, T]) -> Callable[P, T]:
 
 def new_figure(width: float, height: float, *, pyplot: bool = False, **options: Any) -> Figure:
     """An empty figure, of a size in mm; one of pyplot's is shown by notebooks."""
-    require_matplotlib()
     size = (width / MM_PER_INCH, height / MM_PER_INCH)
     if pyplot:
         from matplotlib.pyplot import figure
