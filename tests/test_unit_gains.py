@@ -208,7 +208,8 @@ def test_the_right_hand_side_is_in_the_units_of_the_states(plain):
 def test_the_period_is_that_of_the_motion():
     record = mm()
     eq = answer(mm)
-    rows = Rows(record.time, record.channels, {}, interpolant(record.time, record["u"][:, None], "cubic"))
+    driven, known = interpolant(record.time, record["u"][:, None], "cubic"), np.ones(record.n, dtype=np.bool_)
+    rows = Rows("", record.time, record.channels, {}, {}, known, driven)
     period = typical_period(eq.dynamics(), [rows])
     assert period == pytest.approx(2 * np.pi * duffing()["x"].std() / duffing()["v"].std())
 

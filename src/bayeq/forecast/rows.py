@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -21,31 +21,19 @@ Courses = Interpolation | Mapping[str, Interpolation]
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
-    """Rows of one record."""
+class Rows(MotionRows):
+    """Rows of one record with time; `columns` have targets as they were measured, where they were."""
 
-    time: Floats  # (n,), [s]
-    columns: Mapping[str, Floats]  # (n,), states, targets (measured, where they are) and inputs, as `discover` has them
-    samples: Mapping[str, Floats]  # (n,), what was measured of states and targets; NaN where a sample is missing
+    time: Floats
     # (n, m, 4), inputs, and t where it is used, between the rows, from `bayeq.numerics.rk4.interpolant` over the whole
     # record
     driven: Floats
     # how targets that were not measured were estimated
     estimated: Mapping[str, ChainSmoothing] = field(default_factory=dict)
 
-    @property
-    def n(self) -> int:
-        return len(self.time)
-
     def part(self, rows: slice) -> Rows:
         """Some of the rows."""
-        return Rows(
-            self.time[rows],
-            {name: values[rows] for name, values in self.columns.items()},
-            {name: values[rows] for name, values in self.samples.items()},
-            self.driven[rows],
-            self.estimated,
-        )
+        return Rows(**vars(super().part(rows)), driven=self.driven[rows], estimated=self.estimated)
 
     def drive(self, low: Floats, high: Floats) -> Drive:
         """What drives a run over these rows, within a range of the states."""
@@ -71,7 +59,8 @@ def rows_of(motion: Motion, purpose: str, interpolation: Courses | None = None) 
     for rows in motion.records:
         time = require_time(rows, purpose)
         driven = between(roles, time, rows.columns, interpolation)
-        out.append(Rows(time, {**rows.columns, **rows.observed}, rows.samples, driven, estimated))
+        judged = replace(rows, columns={**rows.columns, **rows.observed})
+        out.append(Rows(**vars(judged), driven=driven, estimated=estimated))
     return out
 
 
