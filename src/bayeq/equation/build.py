@@ -370,9 +370,9 @@ def _of_residuals(equation: Equation, regression: Regression) -> Said:
     if residuals.correlated:
         counted = regression.gram.n < equation.train.n
         so = ", which is what the rows count for" if counted else ": intervals may be too narrow"
-        cure = "add terms or inputs" if regression.motion.smoothing else "use --smooth auto"
+        advice = "add terms or inputs" if regression.motion.smoothing else "use --smooth auto"
         worth = f"worth {residuals.n_eff:.0f} of {residuals.n:d} rows"
-        yield f"correlated residuals, {worth}{so}; {cure}", CorrelatedResidualsWarning
+        yield f"correlated residuals, {worth}{so}; {advice}", CorrelatedResidualsWarning
     if residuals.driven and residuals.driver is not None:
         cure = "add a term, or learn its lag (--lag-sd)"
         yield f"the residuals follow {residuals.driver}: {cure}", CorrelatedResidualsWarning
