@@ -54,7 +54,9 @@ def brief(eq: Answer) -> str:
     lines = _wrapped(f"verdict: {eq.verdict.kind}: {sentence(eq)}")
     if eq.verdict.kind == "none":
         return "\n".join([*lines, "", *_wrapped(what_to_try(eq))])
-    physical, owner = own_parameters(eq), _owner(eq)
+    physical, second = own_parameters(eq), [one for one in eq.equations if one.chain.order == 2]
+    # the equation that physical parameters are of, if that is one alone
+    owner = second[0] if len(second) == 1 else eq.equations[0] if len(eq.equations) == 1 else None
     for one in eq.equations:
         tabled = physical is None or _doubtful(one) or bool(one.shown_constants)
         lines += [
@@ -87,12 +89,6 @@ def brief(eq: Answer) -> str:
     if len(lines) > MOST_LINES >= len(lines) - lines.count("") + 1:
         del lines[above]
     return "\n".join(lines)
-
-
-def _owner(eq: Answer) -> Equation | None:
-    """The equation that physical parameters are of, if that is one alone."""
-    second = [one for one in eq.equations if one.chain.order == 2]
-    return second[0] if len(second) == 1 else eq.equations[0] if len(eq.equations) == 1 else None
 
 
 def _law(eq: Answer, physical: PhysicalParameters, owner: Equation, tabled: bool) -> list[str]:
@@ -150,8 +146,7 @@ def what_to_try(eq: Answer) -> str:
 
 def tabled_parameters(found: PhysicalParameters) -> list[tuple[str, str, str, str, str]]:
     """Symbol, value, interval, unit and meaning of physical parameters, but for those that follow from others."""
-    told = [(q.symbol, q.cells, q.meaning) for q in found if q.symbol not in DERIVED]
-    return [(symbol, mean, ends, unit, why) for symbol, (mean, _, ends, unit), why in told]
+    return [(q.symbol, q.cells[0], *q.cells[2:], q.meaning) for q in found if q.symbol not in DERIVED]
 
 
 def law_in_symbols(eq: Answer, found: PhysicalParameters) -> str | None:
@@ -176,8 +171,7 @@ def law_in_symbols(eq: Answer, found: PhysicalParameters) -> str | None:
 def _quantities(found: PhysicalParameters) -> list[str]:
     # a position of rest that is zero says nothing; shapes of modes are many
     told = [q for q in found if (q.mean or q.sd) and q.symbol not in DERIVED and not q.symbol.startswith("phi_")]
-    cells = [(q.symbol, *q.cells, _meaning(q)) for q in told]
-    rows = [(symbol, mean, f"({interval})", printable(unit), why) for symbol, mean, _, interval, unit, why in cells]
+    rows = [(q.symbol, q.cells[0], f"({q.cells[2]})", printable(q.cells[3]), _meaning(q)) for q in told]
     return [f"    {line}" for line in aligned(rows, left=(0, 2, 3, 4))]
 
 

@@ -143,8 +143,11 @@ def select(fits: Sequence[RegressionFit], rules: Rules, motion: Motion, whole: b
     compared = rules.tolerance != 0.0 and all(ENGINES[fit.posterior.details.method].spike_slab for fit in fits)
     tolerance = rules.tolerance or SELECTION.tolerance
     if compared:
-        moves = motion.timed and bool(motion.roles.states)
-        chosen = _decided(chosen, tolerance, partial(run_errors, motion, fits) if moves else None)
+        runs = partial(run_errors, motion, fits) if motion.timed and motion.roles.states else None
+        included = [one.shown for one in chosen]
+        likeliest = [likeliest_instead(one.fit, k, included, runs, tolerance) for k, one in enumerate(chosen)]
+        pairs = zip(chosen, likeliest, strict=True)
+        chosen = [one if it is None else one.given(it, "undecided") for one, it in pairs]
     chosen = _refitted([_limited(one, rules.max_terms) for one in chosen])
     nearly = [
         k
@@ -183,13 +186,6 @@ def _likeliest_part(one: Selection) -> Selection:
     unit = 1.0 / np.sqrt(np.maximum(np.diagonal(block), np.finfo(np.float64).tiny))
     alike = np.linalg.eigvalsh(block * unit * unit[:, None])[0] > DEPENDENT
     return one.given(fit.given(parts[0]), "undecided" if alike else "dependent")
-
-
-def _decided(chosen: Sequence[Selection], tolerance: float, runs: Runs | None) -> list[Selection]:
-    """The likeliest models, where the included terms are not what the average says."""
-    included = [one.shown for one in chosen]
-    likeliest = [likeliest_instead(one.fit, k, included, runs, tolerance) for k, one in enumerate(chosen)]
-    return [one if it is None else one.given(it, "undecided") for one, it in zip(chosen, likeliest, strict=True)]
 
 
 def prediction_difference(rows: Gram, one: Posterior, other: Posterior) -> float:
