@@ -10,7 +10,6 @@ import re
 import shlex
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -56,19 +55,9 @@ class Remembering:
         return getattr(self._answer, name)
 
 
-@dataclass(frozen=True, slots=True)
-class Picture:
-    """A picture of the report."""
-
-    caption: str
-    still: str  # PNG as text (base64)
-    live: str  # Bokeh's model as JSON without a "<"; empty where there is none
-    narrow: bool  # whether it is of a column's width
-
-
-def pictures(eq: Answer, record: Record | None) -> tuple[list[Picture], list[str]]:
-    """All pictures that the answer and the record allow, and why others could not be drawn."""
-    made: list[Picture] = []
+def pictures(eq: Answer, record: Record | None) -> tuple[list[dict[str, Any]], list[str]]:
+    """All pictures that the answer and the record allow, as the page shows them, and why others could not be drawn."""
+    made: list[dict[str, Any]] = []
     reasons: list[str] = []
     source = Remembering(eq)
     for name, options, caption in _wanted(eq, record):
@@ -78,7 +67,8 @@ def pictures(eq: Answer, record: Record | None) -> tuple[list[Picture], list[str
             reasons.append(f"{caption}: {error}")
             continue
         axes = [ax for ax in np.ravel(np.array(drawn, dtype=object))[0].figure.axes if ax.get_label() != COLOUR_BAR]
-        made.append(Picture(caption, _still(axes[0].figure), _live(axes, len(made)), len(axes) == 1))
+        still, live = _still(axes[0].figure), _live(axes, len(made))
+        made.append({"caption": caption, "still": still, "live": live, "narrow": len(axes) == 1})
     return made, reasons
 
 
@@ -121,6 +111,7 @@ def _wanted(eq: Answer, record: Record | None) -> Iterator[tuple[str, dict[str, 
 
 
 def _still(figure: Any) -> str:
+    """A PNG as text (base64)."""
     buffer = io.BytesIO()
     figure.set_layout_engine("none")  # its panels have been placed
     with style():
@@ -129,7 +120,7 @@ def _still(figure: Any) -> str:
 
 
 def _live(axes: Sequence[Any], k: int) -> str:
-    """The picture in Bokeh's JSON; nothing for one of three dimensions."""
+    """The picture in Bokeh's JSON, without a "<"; nothing for one of three dimensions."""
     if any(ax.name == "3d" for ax in axes):
         return ""
     from bokeh.embed import json_item
@@ -362,7 +353,7 @@ def _page(eq: Answer, records: Sequence[Record], digests: Mapping[str, str], com
     if found is not None:
         law, also = law_in_symbols(eq, found), ", ".join(found.unexplained)
         physical = {"law": law, "rows": tabled_parameters(found), "also": also, "note": found.note}
-    scripts = [_library(), START] if any(picture.live for picture in made) else []
+    scripts = [_library(), START] if any(picture["live"] for picture in made) else []
     hashes = (hashlib.sha256(script.encode("utf-8")).digest() for script in scripts)
     allowed = " ".join(f"'sha256-{base64.b64encode(one).decode('ascii')}'" for one in hashes) or "'none'"
     environment = Environment(loader=FileSystemLoader(HERE), autoescape=True, trim_blocks=True, lstrip_blocks=True)
