@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence, Set
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -342,7 +342,7 @@ def warnings_of(equation: Equation, selection: Selection) -> Said:
 
 def _of_rivals(equation: Equation, selection: Selection) -> Said:
     """Which other terms may be in."""
-    found = selection.fit.posterior
+    found, posterior = selection.fit.posterior, equation.posterior
     optimum = found.details.optimum
     if optimum is not None and bool((optimum != found.support).any()):
         other = some_of([n for n, kept in zip(found.names, optimum, strict=True) if kept] or ["none"], 24)
@@ -356,11 +356,19 @@ def _of_rivals(equation: Equation, selection: Selection) -> Said:
         listed = some_of(likelier, 30, "; ")
         yield f"shown are PIPs above 0.5; likelier is the equation {listed}: measure longer", AmbiguityWarning
     swaps = [r for r in equation.runners_up if r.leaves and r.enters and r.log_odds > -AMBIGUOUS]
-    if found.average is not None:
-        yield from _of_groups(equation, {*written})
-    elif swaps:
+    if posterior.average is None and swaps:
         listed = some_of([f"{r} (odds {r.odds})" for r in swaps], 30, "; ")
         yield f"the record cannot tell terms apart: {listed}; {TELL_APART}", AmbiguityWarning
+    names, left_out = posterior.names, [left.name for left in equation.left_out]
+    for members, some in posterior.average.credible_groups() if posterior.average is not None else ():
+        group = [names[j] for j in members]
+        if some <= 0.5 or not {*written}.isdisjoint(group):
+            continue  # more likely than not that none of them is in; or said already
+        listed = some_of([f"{names[j]} (PIP {posterior.pip[j]:.2f})" for j in members], 30)
+        shown = [name for name in group if name in equation.shown]
+        beside = [name for name in group if name in left_out]
+        none = f"none, for {', '.join(beside)} is left out" if beside else "none"
+        yield f"cannot tell {listed} apart; shown: {some_of(shown or [none], 12)}; {TELL_APART}", AmbiguityWarning
 
 
 def _of_residuals(equation: Equation, regression: Regression) -> Said:
@@ -388,16 +396,3 @@ def _of_hidden_noise(equation: Equation, regression: Regression) -> Said:
         term, (change,) = max(changes.items(), key=lambda one: abs(one[1][0]))
         shift = f"{100 * NOISE_OF_INPUT:.0f} % would shift {term} by {100 * change:+.2g} %"
         yield f"noise of {name} unseen, {shift}: give --noise {name}=SD", DataWarning
-
-
-def _of_groups(equation: Equation, written: Set[str]) -> Said:
-    posterior, left_out = equation.posterior, {left.name for left in equation.left_out}
-    assert posterior.average is not None
-    for members, some in posterior.average.credible_groups():
-        if some <= 0.5 or written & {posterior.names[j] for j in members}:
-            continue  # more likely than not that none of them is in; or said already
-        listed = some_of([f"{posterior.names[j]} (PIP {posterior.pip[j]:.2f})" for j in members], 30)
-        shown = [posterior.names[j] for j in members if equation.shown_posterior.support[j]]
-        beside = [posterior.names[j] for j in members if posterior.names[j] in left_out]
-        none = f"none, for {', '.join(beside)} is left out" if beside else "none"
-        yield f"cannot tell {listed} apart; shown: {some_of(shown or [none], 12)}; {TELL_APART}", AmbiguityWarning
