@@ -111,15 +111,12 @@ LEAST_SAMPLES = 16
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """Records as a plan needs them: rate [Hz], None without time, and length [s] of the longest one.
+    """Records as a plan needs them."""
 
-    Also the least and largest sample of every channel, and the band where the power of every input is [Hz].
-    """
-
-    fs: float | None = None
-    seconds: float | None = None
-    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    bands: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    fs: float | None = None  # rate [Hz] of the longest one; None without time
+    seconds: float | None = None  # its length
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # ends of the samples of every channel
+    bands: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # [Hz], where the power of every input is
 
     @classmethod
     def of(cls, records: Sequence[Record], channels: Sequence[str], inputs: Sequence[str]) -> Self:
@@ -159,20 +156,16 @@ def band_of(samples: NDArray[np.float64], fs: float) -> tuple[float, float] | No
 
 @dataclass(frozen=True)
 class Conditions:
-    """What may be done, and what is known.
+    """What may be done, and what is known."""
 
-    Middle and half width of the range of each of the m inputs, band and rate [Hz], samples, standard deviation of the
-    noise of every target, largest magnitude of states, and ranges of the channels of the record.
-    """
-
-    offset: Floats
-    reach: Floats
-    band: tuple[float, float]
-    n: int
-    fs: float
-    noise: tuple[float, ...]
-    limits: Mapping[str, float]
-    ranges: Mapping[str, tuple[float, float]]
+    offset: Floats  # (m,), middle of the range of each input
+    reach: Floats  # (m,), half its width
+    band: tuple[float, float]  # [Hz]
+    n: int  # samples
+    fs: float  # their rate [Hz]
+    noise: tuple[float, ...]  # standard deviation of that of every target
+    limits: Mapping[str, float]  # largest magnitude of states
+    ranges: Mapping[str, tuple[float, float]]  # of the channels of the record
 
     @property
     def seconds(self) -> float:

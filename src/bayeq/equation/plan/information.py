@@ -32,15 +32,11 @@ KEPT = 10
 
 @dataclass(frozen=True, slots=True)
 class CandidateModel:
-    """A model of one equation: the places of its terms among the candidates, and their coefficients.
+    """A model of one equation."""
 
-    Coefficients and intercept are posterior means given the model, in original units. The probability is that of the
-    model; of an engine that does not average, relative to its neighbours.
-    """
-
-    probability: float
-    members: tuple[int, ...]
-    coef: tuple[float, ...]
+    probability: float  # of an engine that does not average, relative to its neighbours
+    members: tuple[int, ...]  # places of its terms among the candidates
+    coef: tuple[float, ...]  # posterior means given the model, in original units
     intercept: float
 
     def posterior(self, like: Posterior) -> Posterior:
