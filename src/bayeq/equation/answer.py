@@ -174,12 +174,7 @@ class Answer:
 
     def __getitem__(self, key: int | str) -> Equation:
         """By position, or by the name of the target."""
-        if isinstance(key, str):
-            for equation in self.equations:
-                if equation.target == key:
-                    return equation
-            raise KeyError(key)
-        return self.equations[key]
+        return {one.target: one for one in self.equations}[key] if isinstance(key, str) else self.equations[key]
 
     @property
     def chains(self) -> tuple[Chain, ...]:

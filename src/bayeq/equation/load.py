@@ -60,17 +60,15 @@ def load(path: str | Path) -> Equations:
     try:
         with path.open("rb") as file:
             text = file.read(MOST_BYTES + 1)  # a device may have no end
-        if len(text) > MOST_BYTES:
-            raise FileFormatError(f"{path}: longer than {MOST_BYTES // 2**20} MiB: not a file of equations")
-        content = json.loads(text.decode())
+        content = json.loads(text.decode()) if len(text) <= MOST_BYTES else None
     except FileNotFoundError:
         raise FileFormatError(f"no such file: {path}{near_files(path)}") from None
     except OSError as error:
         raise FileFormatError(f"{path}: {error.strerror or error}") from error
-    except FileFormatError:
-        raise
     except (ValueError, RecursionError) as error:
         raise FileFormatError(f"{path}: not a JSON file") from error
+    if len(text) > MOST_BYTES:
+        raise FileFormatError(f"{path}: longer than {MOST_BYTES // 2**20} MiB: not a file of equations")
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise FileFormatError(f"{path}: not a file of equations saved by bayeq (no format {FORMAT!r})")
     return restored(content, str(path))

@@ -95,8 +95,7 @@ class ParsimonyPath:
     @property
     def is_chosen(self) -> Bools:
         """Which of the models is the equation, (K,); none if it is off the path."""
-        same: Bools = (self.models == self.chosen).all(axis=1)
-        return same
+        return np.asarray((self.models == self.chosen).all(axis=1))
 
     @property
     def steps(self) -> list[Step]:

@@ -329,12 +329,11 @@ def window_errors(dynamics: Dynamics, motion: Motion) -> Sequence[tuple[float, s
     train, held_out = divided(motion, whole)
     for part in (held_out, train):
         pieces = [rows for rows in part if rows.n > 1]
-        if pieces:
-            windows = window_runs(dynamics, pieces, min(period, shorter), unit=unit)
-            if windows:
-                length = "one correlation time" if shorter < period else "one period"
-                errors = _errors_by_chain(dynamics, windows)
-                return [None if error is None else (error, length) for error in errors]
+        windows = window_runs(dynamics, pieces, min(period, shorter), unit=unit) if pieces else []
+        if windows:
+            length = "one correlation time" if shorter < period else "one period"
+            errors = _errors_by_chain(dynamics, windows)
+            return [None if error is None else (error, length) for error in errors]
     return none
 
 
