@@ -231,11 +231,9 @@ def write_forecasts(file: Path, runs: Sequence[tuple[str, Forecast]]) -> None:
     def table() -> pd.DataFrame:
         import pandas as pd
 
-        tables = [run.table() for _, run in runs]
-        if several:
-            for (name, _), one in zip(runs, tables, strict=True):
-                one.insert(0, "record", name)
-        return pd.concat(tables, ignore_index=True)
+        names, tables = zip(*((name, run.table()) for name, run in runs), strict=True)
+        whole = pd.concat(tables, keys=names, names=["record", None]).reset_index(level=0)
+        return whole if several else tables[0]
 
     def figure() -> Figure:
         return draw_forecasts([(name if several else "", run) for name, run in runs[:MOST_DRAWN]])
