@@ -75,10 +75,7 @@ def load(path: str | Path) -> Equations:
 
 
 def restored(content: Saved, where: str) -> Equations:
-    """Equations from the content of a file of them, which `bayeq.equation.to_json.to_saved` made.
-
-    FileFormatError, with where it was found, if it does not agree with `json_schema` or with itself.
-    """
+    """Equations from what `to_saved` made of them; FileFormatError, with where it was found, if it is damaged."""
     try:
         fault = first_fault(content)
         if fault is not None:

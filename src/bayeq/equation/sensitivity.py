@@ -255,11 +255,7 @@ def prior_sensitivity(
 
 
 def power_sensitivity(gram: Gram, prior: Prior, powers: ArrayLike | None = None) -> PipCurve:
-    """PIPs by model averaging as the likelihood is raised to a power, so that each row counts for less.
-
-    See `Equation.coarsening`; `gram` is standardised. Miller and Dunson (2019) call this coarsening. InputError for
-    powers out of range.
-    """
+    """PIPs by model averaging as a standardised likelihood gets powers below 1: coarsening (Miller and Dunson 2019)."""
     values = _axis("powers", POWERS if powers is None else powers, 1.0, 1.0)
     values = values[(values == 1.0) | (values * gram.n >= LEAST_ROWS)]
     problems = (Problem.of(gram.raised(float(power)), prior) for power in values)
@@ -321,11 +317,7 @@ def common_inclusion(prior: Prior, terms: int) -> float:
 
 
 def with_inclusion(prior: Prior, terms: int, inclusion: float) -> Prior:
-    """The prior with another `common_inclusion`.
-
-    Terms keep their odds relative to each other, and forced and forbidden ones remain so; of p_0 ~ Beta(a, b) the mean
-    moves and a + b stays.
-    """
+    """The prior with another `common_inclusion`: terms keep their odds against each other, Beta(a, b) its a + b."""
     if prior.inclusion_beta is not None:
         weight = sum(prior.inclusion_beta)
         return replace(prior, inclusion_beta=(weight * inclusion, weight * (1.0 - inclusion)))

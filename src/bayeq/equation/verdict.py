@@ -290,10 +290,7 @@ def alike(dynamics: Dynamics, motion: Motion) -> tuple[str, ...]:
 
 
 def noise_share(regression: Regression, variance: float) -> float:
-    """Share of a target's variance that is noise, where the smoother has learned it; else 0.
-
-    Of an estimated target it is the posterior variance of the estimate, more than what a filter of both sides leaves.
-    """
+    """Share of a target's variance that is noise, or error of its estimate, where a smoother has learned it; else 0."""
     motion, target = regression.motion, regression.chain.target
     own = motion.estimated_by(regression.k)
     error = state_noise(motion).get(target, 0.0) ** 2 if own is None else own.target_variance

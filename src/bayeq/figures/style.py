@@ -167,10 +167,7 @@ def log_ticks(axis: Axis, text: Callable[[float], str] = "{:g}".format) -> None:
 
 
 def save(figure: Figure, stem: Path) -> list[Path]:
-    """Write a figure as PNG (300 dpi) and SVG, without dates, and return the paths; call it inside `style`.
-
-    The stem is the path without suffix; folders are made where missing. InputError if the files cannot be written.
-    """
+    """Write a figure as PNG (300 dpi) and SVG, to a path without suffix, within `style`; InputError if that fails."""
     paths = []
     try:
         stem.parent.mkdir(parents=True, exist_ok=True)
@@ -191,10 +188,7 @@ def _write(figure: Figure, path: Path) -> None:
 
 
 def require_suffix(file: Path) -> None:
-    """Check that `write_output` can make such a file, before anything is computed for it.
-
-    InputError for a suffix that is not known, MissingExtraError where matplotlib is needed and not installed.
-    """
+    """Check that `write_output` can make such a file: InputError, or MissingExtraError where matplotlib is missing."""
     if file.suffix.lower() not in TABLE_OR_FIGURE:
         raise InputError(f"{file}: is to be written as a table or a figure: end it in {', '.join(TABLE_OR_FIGURE)}")
     if file.suffix.lower() != ".csv":
@@ -202,11 +196,7 @@ def require_suffix(file: Path) -> None:
 
 
 def write_output(file: Path, table: Callable[[], pd.DataFrame], figure: Callable[[], Figure]) -> None:
-    """Write the table (.csv), or the figure in the style of the reports; only that one is made. The suffix has been
-    checked.
-
-    The file is replaced whole, or not at all.
-    """
+    """Write the table (.csv), or the figure in the style of the reports, whole or not at all; only that one is made."""
     if file.suffix.lower() == ".csv":
         made = table()
         with replacing(file) as part:

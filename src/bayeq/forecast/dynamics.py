@@ -59,10 +59,7 @@ def solved_laws(laws: Sequence[Law]) -> list[Law]:
 
 @dataclass(frozen=True, eq=False)
 class Dynamics:
-    """dx/dt = f(x, u; theta): the chains' derivatives, and intercept + sum of coefficient x term for the highest.
-
-    Of maps these are the next values.
-    """
+    """dx/dt = f(x, u; theta), of maps the next values: intercept + sum of coefficient x term for the highest."""
 
     laws: tuple[Law, ...]  # the equations
     roles: Roles  # their chains, inputs, and whether terms may use t, the time [s]: the last of what drives a run

@@ -222,10 +222,7 @@ def _beginning(
 
 
 def write_forecasts(file: Path, runs: Sequence[tuple[str, Forecast]]) -> None:
-    """Write a table (.csv) of the free runs of some records, by their names, or a figure (of the first six).
-
-    The suffix, which `bayeq.figures.style.require_suffix` has checked, says what to write.
-    """
+    """Write free runs of records, by names, as a table (.csv) or a figure (of the first six), as the suffix says."""
     several = len(runs) > 1
 
     def table() -> pd.DataFrame:
@@ -301,10 +298,7 @@ def mean_run(dynamics: Dynamics, parameters: Floats, first: Floats, drive: Drive
 
 
 def typical_period(dynamics: Dynamics, pieces: Sequence[Rows]) -> float:
-    """Shortest of the chains' periods [s]: 2 pi times the spread of the coordinate over that of its derivative.
-
-    Of a map [samples]: over that of its changes.
-    """
+    """Shortest of the chains' periods [s], 2 pi sd(x)/sd(x'); of maps [samples] by the changes in place of x'."""
     periods = []
     for law in dynamics.laws:
         if law.chain.static:

@@ -87,10 +87,7 @@ def percent(share: float) -> str:
 
 
 def score_rows(dynamics: Dynamics, parameters: Floats, pieces: Sequence[Rows], motion: Sequence[Rows] = ()) -> Scores:
-    """Scores over all rows of some records together, at least two of each, a free run in each.
-
-    `motion` tells how far states may go, if it is more than these: a body may be at rest in them.
-    """
+    """Scores over all rows of records together, a free run in each; states may go as far as in `motion`, or here."""
     runs, blew_up_at = [], None
     moving = pieces if dynamics.states else []
     limits = state_range(np.concatenate([rows.stack(dynamics.states) for rows in motion or pieces]))

@@ -70,10 +70,7 @@ def noise(n: int, fs: float, band: Band, rng: np.random.Generator) -> Floats:
 
 
 def multisine(n: int, fs: float, band: Band, rng: np.random.Generator) -> Floats:
-    """One period of the odd lines of the band, of equal amplitude and random phase.
-
-    Pintelon and Schoukens 2012, section 5.2.
-    """
+    """One period of the band's odd lines, equal amplitudes and random phases (Pintelon and Schoukens 2012, 5.2)."""
     lines = lines_within(n, fs, band, odd=True)
     return _synthesised(n, lines, np.exp(2j * np.pi * rng.random(len(lines))))
 

@@ -158,10 +158,7 @@ def select(fits: Sequence[RegressionFit], rules: Rules, motion: Motion, whole: b
 
 
 def run_errors(motion: Motion, fits: Sequence[RegressionFit], posteriors: Sequence[Posterior]) -> Errors:
-    """Errors of free runs of a system over windows of the training rows, as shares of the states' spread.
-
-    There are a fit and a posterior for each equation; errors are by the length of runs in periods.
-    """
+    """Errors of free runs over windows of the training rows, over the states' spread, by their length in periods."""
     expanded = [fit.expanded(one) for fit, one in zip(fits, posteriors, strict=True)]
     dynamics = Dynamics.on(motion, fits[0].regression.design.terms, expanded)
     train, _ = divided(motion, rows_of(motion, "a free run"))
@@ -231,10 +228,7 @@ def likeliest_instead(
 
 
 def _simplified(chosen: list[Selection], nearly: Sequence[int], tolerance: float, motion: Motion) -> list[Selection]:
-    """The smallest models within the tolerance of some equations, each by a fit of its own.
-
-    Damping stays: it explains next to nothing and yet decides how motion decays.
-    """
+    """The smallest models within the tolerance of some equations, by fits of their own; damping stays, see rule 4."""
     out = chosen
     whole = _errors(motion, chosen) if nearly else {}
     for k in nearly:
