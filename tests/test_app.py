@@ -19,7 +19,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 import bayeq as bq
-from bayeq.app.choices import INPUT, READING, ROLES, Choice, Choices, chains_of, discover_command, proposed
+from bayeq.app.choices import EQUATION, INPUT, READING, ROLES, Choice, Choices, chains_of, discover_command, proposed
 from bayeq.app.server import Guard
 from bayeq.app.session import LARGEST, LONGEST_NAME, Child, Session, Workspace, safe_name
 from bayeq.cli.app import main
@@ -317,7 +317,7 @@ def test_a_session_reads_again_and_takes_further_records(monkeypatch):
         assert [one["name"] for one in session.opened.info["channels"]] == ["p", "q", "r", "s"]
         assert session.words()[:3] == ["discover", "run.csv", "record2_run.csv"]
         assert session.words()[3:7] == ["--names", "t,p,q,r,s", "--skip", "2"]
-        assert bq.load(session.result.equation).data.n == 600
+        assert bq.load(session.result.folder / EQUATION).data.n == 600
         session.drop(second)
         assert not second.exists()
         session.choices.reading["--skip"] = "no"

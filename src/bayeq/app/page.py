@@ -115,7 +115,7 @@ def file_step(session: Session) -> None:
             stop_button(session)
     else:
         words = f"Drop a measured file here, up to {SIZE}: {FORMATS}."
-        _upload(dropped, refused, DROP.format(words=words, label="Choose a file", look="unelevated"))
+        _upload(dropped, refused, words=words, label="Choose a file", look="unelevated")
     if session.file_error:
         message(session.file_error, "error")
         text(
@@ -141,10 +141,10 @@ def file_step(session: Session) -> None:
                     text(path.name, tag="span")
                     ui.button("Leave out", on_click=partial(session.drop, path)).props("no-caps flat dense")
             words = "Add a record of the same channels: another run, of which the same equation is expected."
-            _upload(added, refused, DROP.format(words=words, label="Add a record", look="outline"))
+            _upload(added, refused, words=words, label="Add a record", look="outline")
 
 
-def _upload(arrived: Callable[[Any], Any], refused: Callable[[str], None], header: str) -> None:
+def _upload(arrived: Callable[[Any], Any], refused: Callable[[str], None], **said: str) -> None:
     """A box that files are dropped into."""
     upload = ui.upload(
         on_upload=arrived,
@@ -153,7 +153,7 @@ def _upload(arrived: Callable[[Any], Any], refused: Callable[[str], None], heade
         auto_upload=True,
     )
     upload.props("flat").classes("drop")
-    upload.add_slot("header", header)
+    upload.add_slot("header", DROP.format(**said))
     upload.on("failed", lambda: refused(f"the file did not arrive: is it larger than {SIZE}, or was it moved?"))
 
 
@@ -334,7 +334,11 @@ def channel_rows(info: Mapping[str, Any], choices: dict[str, Choice], several: b
                 made = text_field(what.capitalize(), "", choice, what)
                 made.props["aria-label"] = f"{what.capitalize()} of {name}"  # set so, a name is no option
             if several:
-                _coordinate(name, choice)
+                numbers = list(range(1, max(MOST_COORDINATES, choice.coordinate) + 1))
+                made = ui.select(numbers, label="Coordinate").props("outlined dense options-dense")
+                made.props["aria-label"] = f"Coordinate of {name}"
+                made.bind_value(choice, "coordinate").on_value_change(command_step.refresh)
+                made.bind_visibility_from(choice, "role", lambda role: role not in ("", INPUT))
     if len(channels) > MOST_CHANNELS:
         message(
             f"The file has {len(channels)} channels; the first {MOST_CHANNELS} are offered here. For others, write the"
@@ -343,17 +347,7 @@ def channel_rows(info: Mapping[str, Any], choices: dict[str, Choice], several: b
         )
 
 
-def _coordinate(name: str, choice: Choice) -> None:
-    """Of which coordinate a channel is."""
-    numbers = list(range(1, max(MOST_COORDINATES, choice.coordinate) + 1))
-    made = ui.select(numbers, label="Coordinate").props("outlined dense options-dense")
-    made.props["aria-label"] = f"Coordinate of {name}"
-    made.bind_value(choice, "coordinate").on_value_change(command_step.refresh)
-    made.bind_visibility_from(choice, "role", lambda role: role not in ("", INPUT))
-
-
 def _about(channel: Mapping[str, Any]) -> str:
-    """Range, and what is wrong with a channel."""
     if channel["min"] is None:
         return "no numbers in it"
     if channel["constant"]:

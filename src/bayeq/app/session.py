@@ -18,9 +18,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic
-from typing import Any
+from typing import Any, NamedTuple
 
-from bayeq.app.choices import EQUATION, REPORT, Choices, discover_command
+from bayeq.app.choices import Choices, discover_command
 from bayeq.errors import InputError
 from bayeq.resumable.posix import KILL, has_ended, is_of_this_user, signal_group
 
@@ -54,21 +54,11 @@ class Opened:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What was found: the number of the run, from 1, the folder of its files, and the name of the record."""
+    """What was found: the number of the run, from 1, the folder with `EQUATION` and `REPORT`, and the record's name."""
 
     number: int
     folder: Path
     name: str
-
-    @property
-    def equation(self) -> Path:
-        """The equations, for `bayeq.load`."""
-        return self.folder / EQUATION
-
-    @property
-    def report(self) -> Path:
-        """The page."""
-        return self.folder / REPORT
 
 
 class Workspace:
@@ -290,8 +280,7 @@ GRACE = 3.0
 _ERROR = "bayeq: error: "
 
 
-@dataclass(frozen=True, slots=True)
-class Outcome:
+class Outcome(NamedTuple):
     """How a command ended: what it printed, why it failed (a line; empty if it did not), whether it was stopped."""
 
     out: str
@@ -329,10 +318,9 @@ class Child:
         assert process.stderr is not None
         out, lines = await asyncio.gather(process.stdout.read(), self._lines(process.stderr))
         code = await process.wait()
-        printed = out.decode(errors="replace")
-        if self.stopped:
-            return Outcome(printed, stopped=True)
-        return Outcome(printed, _reason(lines, code) if code else "")
+        return Outcome(
+            out.decode(errors="replace"), _reason(lines, code) if code and not self.stopped else "", self.stopped
+        )
 
     async def _lines(self, stream: asyncio.StreamReader) -> list[str]:
         lines = []

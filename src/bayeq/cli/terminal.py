@@ -8,7 +8,7 @@ import shlex
 import sys
 import threading
 import time as clock
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields
 from functools import partial
@@ -254,6 +254,8 @@ class Outputs:
             raise InputError(f"{asked}: static laws (--target) have no motion; leave it out")
         if (self.refine or self.physical) and options.get("discrete"):
             raise InputError(f"--{'refine' if self.refine else 'physical'}: not of maps (--discrete); leave it out")
+        parts = (part.strip() for text in options["dictionaries"] for part in (text, text.partition(":")[2]))
+        read = [*files, *(Path(part) for part in parts if part and os.path.isfile(part))]  # with files of terms
         seen: dict[Path, str] = {}
         for name, (purpose, kind) in PURPOSES.items():
             output: Path | None = getattr(self, name)
@@ -262,7 +264,7 @@ class Outputs:
             if output in seen:
                 raise InputError(f"{output}: named twice, {seen[output]} and {purpose}")
             seen[output] = purpose
-            require_output(output, [*files, *_files_of_terms(options)], kind)
+            require_output(output, read, kind)
         if self.sensitivity is not None:
             from bayeq.equation.sensitivity import require_spike_slab
 
@@ -278,7 +280,7 @@ class Outputs:
             return
         from bayeq.forecast.rows import require_time
 
-        for wanted, option in ((self.refine, "--refine"), (self.forecast is not None, "--forecast")):
+        for wanted, option in ((self.refine, "--refine"), (self.forecast, "--forecast")):
             for record in records if wanted else ():
                 require_time(record, option)
 
@@ -378,7 +380,6 @@ def show_equations(
 
 
 def _write_curves(found: Equations, what: Literal["sensitivity", "path"], path: Path) -> None:
-    """The sensitivity or the path of each equation."""
     from bayeq.equation.sensitivity import draw_pip_curves
     from bayeq.equation.size_path import draw_paths
     from bayeq.figures.style import write_by_target
@@ -441,20 +442,9 @@ def _require_place(path: Path, files: Sequence[Path]) -> None:
         target = path.resolve()
         if not os.access(target.parent, os.W_OK):
             raise InputError(f"{path}: cannot be written: {target.parent} is read-only; name a file elsewhere")
-    if path.exists() and any(file.exists() and path.samefile(file) for file in _with_contents(files)):
+    read = (one for file in files for one in (file.iterdir() if file.is_dir() else (file,)))
+    if path.exists() and any(file.exists() and path.samefile(file) for file in read):
         raise InputError(f"{path}: is a file that is read; name another file to write to")
-
-
-def _with_contents(paths: Sequence[Path]) -> Iterator[Path]:
-    """Files, and those in folders."""
-    for path in paths:
-        yield from path.iterdir() if path.is_dir() else (path,)
-
-
-def _files_of_terms(options: Mapping[str, Any]) -> list[Path]:
-    """Files among what dictionaries name."""
-    parts = (part.strip() for text in options["dictionaries"] for part in (text, text.partition(":")[2]))
-    return [Path(part) for part in parts if part and os.path.isfile(part)]
 
 
 def _physical(answer: Equations) -> dict[str, PhysicalParameters]:

@@ -84,42 +84,37 @@ class Evaluator:
         return value
 
     def _value(self, node: Node) -> Floats | np.float64:
-        value = self._memo.get(node)
-        if value is None:
-            value = self._memo[node] = self._compute(node)
-        return value
+        if node not in self._memo:
+            self._memo[node] = self._compute(node)
+        return self._memo[node]
 
     def _compute(self, node: Node) -> Floats | np.float64:
-        result: Floats | np.float64
-        if isinstance(node, Binary):
-            if node.op == "**":
-                return self._power(node.left, self._value(node.right))
-            if node.op in COMPARISONS:
-                return COMPARISONS[node.op].numpy(self._value(node.left), self._value(node.right)) * np.float64(1.0)
-            result = ARITHMETIC[node.op](self._value(node.left), self._value(node.right))
-            return result
-        if isinstance(node, Call):
-            result = FUNCTIONS[node.function].numpy(*map(self._value, node.arguments))
-            return result
-        if isinstance(node, Negate):
-            return -self._value(node.operand)
-        if isinstance(node, Number | Unknown):
-            return np.float64(node.value)
-        if isinstance(node, Constant):
-            return np.float64(CONSTANTS[node.name])
-        raise UnknownNameError("channel", node.name, self._names)
+        match node:
+            case Number(value) | Unknown(value=value):
+                return np.float64(value)
+            case Constant(name):
+                return np.float64(CONSTANTS[name])
+            case Symbol(name):
+                raise UnknownNameError("channel", name, self._names)
+            case Negate(operand):
+                return -self._value(operand)
+            case Call(function, arguments):
+                return FUNCTIONS[function].numpy(*map(self._value, arguments))
+            case Binary("**", left, right):
+                return self._power(left, self._value(right))
+            case Binary(op, left, right) if op in COMPARISONS:
+                return COMPARISONS[op].numpy(self._value(left), self._value(right)) * np.float64(1.0)
+            case Binary(op, left, right):
+                return ARITHMETIC[op](self._value(left), self._value(right))
 
     def _power(self, base: Node, exponent: Floats | np.float64) -> Floats | np.float64:
         value = self._value(base)
         if not isinstance(exponent, np.float64) or not exponent.is_integer() or abs(exponent) > MAX_INTEGER_POWER:
-            result: Floats | np.float64 = np.power(value, exponent)
-            return result
+            return np.power(value, exponent)
         k = int(exponent)
         if k == 0:
             return np.float64(1.0)
-        powers = self._powers.get(base)
-        if powers is None:
-            powers = self._powers[base] = [value]
+        powers = self._powers.setdefault(base, [value])
         while len(powers) < abs(k):
             powers.append(powers[-1] * value)
         return powers[k - 1] if k > 0 else np.float64(1.0) / powers[-k - 1]

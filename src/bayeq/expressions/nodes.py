@@ -191,11 +191,7 @@ def unknowns_of(node: Node) -> Iterator[Unknown]:
 
 def jumps_of(node: Node) -> Iterator[Call]:
     """The jumps in a term, as signs and floors of what they happen in."""
-    jump = jump_of(node)
-    if jump is not None:
-        yield jump
-    for part in arguments_of(node):
-        yield from jumps_of(part)
+    return (jump for one in nodes_of(node) if (jump := jump_of(one)) is not None)
 
 
 def jump_of(node: Node) -> Call | None:

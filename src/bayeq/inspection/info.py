@@ -180,7 +180,9 @@ def _described(experiments: Experiments, name: str, reading: Reading) -> RecordI
     rates = [record for record in records if record.fs is not None]
     checks = _checks(records, guess)
     reading = _completed(reading, experiments, checks)
-    turning = [key for key in moving if clues[key].angle and not channels[key].unit and _turns(channels[key])]
+    # in rad these angles would turn to and fro by whole turns
+    whole = {key for key, one in channels.items() if one.least < -2.0 * math.pi and one.greatest > 2.0 * math.pi}
+    turning = [key for key in moving if clues[key].angle and not channels[key].unit and key in whole]
     reading = replace(reading, units={**reading.units, **dict.fromkeys(turning, "deg")})
     clues = {key: replace(clue, degrees=clue.degrees or key in turning) for key, clue in clues.items()}
     how = "turns to and fro by more than 2 pi: taken in degrees; of radians leave out --units"
@@ -210,11 +212,6 @@ def _described(experiments: Experiments, name: str, reading: Reading) -> RecordI
     )
     parts = (_on_time, _on_experiments, _on_channels, _on_bad_samples)
     return replace(made, findings=(*(text for part in parts for text in part(made)), *(one.message for one in checks)))
-
-
-def _turns(channel: ChannelInfo) -> bool:
-    """Whether an angle in rad would turn to and fro by whole turns: then it is one in degrees."""
-    return channel.least < -2.0 * math.pi and channel.greatest > 2.0 * math.pi
 
 
 def _levels(channels: Mapping[str, ChannelInfo]) -> set[str]:

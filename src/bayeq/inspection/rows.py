@@ -156,16 +156,11 @@ def _trial_column(record: Record, restarts: Ints, clock: Floats | None, others: 
         once = len(np.unique(values)) == len(starts)  # a number that comes back is a switch, not a count
         if not once or lengths.min() < LEAST_ROWS:
             continue
-        if named or (len(restarts) and set(restarts) <= set(starts)) or _at_gaps(clock, starts[1:]):
+        steps = np.zeros(record.n - 1) if clock is None else np.diff(clock)
+        at_gaps = bool((steps[starts[1:] - 1] > LONG_GAP * np.median(steps)).all())
+        if named or (len(restarts) and set(restarts) <= set(starts)) or at_gaps:
             return name
     return None
-
-
-def _at_gaps(clock: Floats | None, rows: Ints) -> bool:
-    if clock is None:
-        return False
-    steps = np.diff(clock)
-    return bool((steps[rows - 1] > LONG_GAP * np.median(steps)).all())
 
 
 def gaps_of(records: Sequence[Record]) -> list[Gap]:

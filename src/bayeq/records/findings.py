@@ -316,11 +316,12 @@ def _gains(record: Record, measured: Sequence[tuple[int, str]], links: Sequence[
         return [Finding("clock", tuple(name for _, name in measured), message, rate)]
     found = []
     for odd in _odd_ones(measured, steps, errors, math.log(RECORDS.least_gain)):
-        between = stated[min(odd.k, odd.other) : max(odd.k, odd.other)]
-        expected = math.prod(between) ** (1 if odd.k > odd.other else -1)
+        expected = math.prod(stated[: odd.k]) / math.prod(stated[: odd.other])
         gain = math.exp(odd.difference) * expected
         by_unit = "" if expected == 1.0 else f", by units {expected:.4g}"
-        hint = _unit_hint(math.exp(odd.difference))
+        of_units = (meaning for factor, meaning in UNIT_GAINS if abs(abs(odd.difference) - math.log(factor)) < NEAR)
+        mistake = next(of_units, None)
+        hint = f"that is about {mistake}; check its unit" if mistake else "check calibration, unit and filter"
         message = f"{odd.channels[0]} is {gain:.4g} times {odd.against}{by_unit}: {hint}"
         found.append(Finding("gain", odd.channels, message, gain))
     return found
@@ -335,13 +336,6 @@ def stated_gain(record: Record, p: str, q: str, order: int) -> float | None:
     """The gain between a channel and a derivative of another by their units, where they are known."""
     units = record.units
     return derivative_ratio(units[p], units[q], order) if p in units and q in units else None
-
-
-def _unit_hint(gain: float) -> str:
-    for factor, meaning in UNIT_GAINS:
-        if min(abs(math.log(gain / factor)), abs(math.log(gain * factor))) < NEAR:
-            return f"that is about {meaning}; check its unit"
-    return "check calibration, unit and filter"
 
 
 def _delays(measured: Sequence[tuple[int, str]], links: Sequence[Relation], dt: float) -> list[Finding]:

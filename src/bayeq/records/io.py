@@ -216,9 +216,7 @@ def read(
     starred = any(STAR in name for name in (*(request.names or ()), time or ""))
     for k, (part, data) in enumerate(pieces):
         label = f"{path.name} [{k}]" if starred else path.name if sheet is None else f"{path.name}[{sheet}]"
-        records.extend(
-            Record(*trial[:4], begins=trial.begins) for trial in assemble(part.renamed(data), part, units, label)
-        )
+        records.extend(Record(**trial) for trial in assemble(part.renamed(data), part, units, label))
     if rows is not None:
         records = [rows_of(record, rows) for record in records]
     return records if starred or group is not None else records[0]
@@ -371,7 +369,7 @@ def _from_mapping(source: Mapping[Any, Any], t: Any) -> Record:
     headers = Headers.parse(keys, "arrays")
     data = Columns.build(headers, lambda i: without_mask(source[keys[i]]))
     if t is None or isinstance(t, str):
-        return Record(*assemble(data, Request(time=t), name="")[0][:4])
+        return Record(**assemble(data, Request(time=t), name="")[0])
     return Record(dict(zip(data.names, data.values, strict=True)), np.asarray(t), data.headers.stated_units())
 
 

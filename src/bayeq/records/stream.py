@@ -114,14 +114,14 @@ class FileStream:
             (trial,) = assemble(data, request, units, self.name)
         except RecordError as error:
             raise RecordError(f"{error} (of rows {start + 1:,} to {stop:,})") from None
-        time = trial.time
+        time = trial["time"]
         if time is not None and len(time) < stop - start:
             raise RecordError(
                 f"{self.name}: times are repeated in rows {start + 1:,} to {stop:,}; leave these rows out"
             )
         if request.fs is not None and time is not None and start:
-            time = time + start / request.fs
-        return Record(trial.channels, time, trial.units, trial.name)
+            trial["time"] = time + start / request.fs
+        return Record(**trial)
 
 
 def files_in(paths: Sequence[str | os.PathLike[str]], known: Collection[str], what: str) -> list[Path]:

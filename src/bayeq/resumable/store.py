@@ -154,32 +154,6 @@ class ResultStore:
     def _is_key(self) -> str:
         return " AND ".join(f"{name} = ?" for name in self.key)
 
-    def claim(self, wanted: Sequence[Key], owner: str, until: float, dead: Callable[[str, float], bool]) -> list[Key]:
-        """Claim those of some rows that no other process has claimed, in one transaction, until a time [s since 1970].
-
-        `dead` says whether the claim of an owner with such an end counts for nothing.
-        """
-        free = []
-        with self._transaction():
-            for key in wanted:
-                found = self._connection.execute(f"SELECT owner, until FROM claims WHERE {self._is_key}", key)
-                other = found.fetchone()
-                if other is None or other[0] == owner or dead(*other):
-                    free.append(key)
-            self._connection.executemany(
-                f"INSERT OR REPLACE INTO claims VALUES ({'?, ' * len(self.key)}?, ?)",
-                [(*key, owner, until) for key in free],
-            )
-        return free
-
-    def prolong(self, owner: str, until: float) -> None:
-        """Let the claims of an owner end later."""
-        self._write("UPDATE claims SET until = ? WHERE owner = ?", (until, owner))
-
-    def release(self, owner: str) -> None:
-        """Drop the claims of an owner."""
-        self._write("DELETE FROM claims WHERE owner = ?", (owner,))
-
     def _one(self, statement: str) -> Any:
         return self._connection.execute(statement).fetchone()[0]
 
@@ -243,20 +217,30 @@ class Claims:
         self._stop.set()
         self._beating.join()
         with self._store, suppress(FileFormatError):  # otherwise they end by themselves
-            self._store.release(self.owner)
+            self._store._write("DELETE FROM claims WHERE owner = ?", (self.owner,))
 
     def free(self, wanted: Sequence[Key]) -> tuple[Key, ...]:
-        """Claim rows: those that are done or claimed by others are left out."""
+        """Claim rows, in one transaction: those that are done or claimed by others are left out."""
+        store, free = self._store, []
         with self._lock:
-            claimed = self._store.claim(wanted, self.owner, time.time() + LEASE, _dead)
+            with store._transaction():
+                for key in wanted:
+                    found = store._connection.execute(f"SELECT owner, until FROM claims WHERE {store._is_key}", key)
+                    other = found.fetchone()
+                    if other is None or other[0] == self.owner or _dead(*other):
+                        free.append(key)
+                store._connection.executemany(
+                    f"INSERT OR REPLACE INTO claims VALUES ({'?, ' * len(store.key)}?, ?)",
+                    [(*key, self.owner, time.time() + LEASE) for key in free],
+                )
             # another process may have done it before it was claimed here
-            return tuple(key for key in claimed if not self._store.done(key))
+            return tuple(key for key in free if not store.done(key))
 
     def _beat(self) -> None:
         """Prolong the claims now and then."""
         while not self._stop.wait(BEAT):
             with suppress(FileFormatError), self._lock:  # the next time will do
-                self._store.prolong(self.owner, time.time() + LEASE)
+                self._store._write("UPDATE claims SET until = ? WHERE owner = ?", (time.time() + LEASE, self.owner))
 
 
 def _dead(owner: str, until: float) -> bool:

@@ -19,6 +19,7 @@ from bayeq.arrays import Floats
 from bayeq.errors import BayeqError, BayeqWarning, whole_number
 from bayeq.expressions import parse
 from bayeq.resumable.store import MAX_JOBS, Key, ResultStore, fill
+from bayeq.systems import System
 
 # The name under which a law holds the constant of an equation.
 CONSTANT = "1"
@@ -111,6 +112,20 @@ def facts() -> Mapping[str, Any]:
     return dict(json.loads(files("bayeq.study").joinpath("ode_systems.json").read_text(encoding="utf-8")))
 
 
+def system_of(name: str, states: Sequence[str], rhs: Sequence[str], initial: Sequence[float], **about: Any) -> System:
+    """A system of first order without inputs or noise, of which nothing is known but its equations."""
+    return System(
+        name=name,
+        chains=tuple(states),
+        rhs=dict(zip(states, rhs, strict=True)),
+        terms={f"d{state}": {} for state in states},
+        parameters={},
+        initial=dict(zip(states, initial, strict=True)),
+        noise=0.0,
+        **about,
+    )
+
+
 def timed(discover: Callable[[], Any], judge: Callable[[Any], Outcome]) -> Outcome:
     """The judgement of an answer, and the seconds of CPU that it took; an error is an answer without a term."""
     with warnings.catch_warnings():
@@ -158,9 +173,7 @@ def matrix_error(found: Floats, true: Floats) -> float:
 
 
 def _coefficients(eq: Any) -> dict[str, float]:
-    posterior = eq.posterior
-    zipped = zip(eq.terms, posterior.coef.tolist(), posterior.support.tolist(), strict=True)
-    found = {term.text: value for term, value, kept in zipped if kept}
+    found = {eq.terms[j].text: float(eq.posterior.coef[j]) for j in np.flatnonzero(eq.posterior.support)}
     if eq.intercept_matters:
         found[CONSTANT] = eq.intercept_estimate[0]
     return found

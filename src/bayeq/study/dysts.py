@@ -55,27 +55,18 @@ def systems() -> list[str]:
 def _system(name: str) -> tuple[System, Sequence[Law]]:
     """A system, and its laws."""
     known = cells.facts()["dysts"][name]
-    states, laws = known["states"], known["terms"]
-    system = System(
-        name=name,
+    system = cells.system_of(
+        name,
+        known["states"],
+        ["+".join(f"({c!r})*{term}" for term, c in law.items()) for law in known["terms"]],
+        known["initial"],
         title=name,
-        chains=tuple(states),
-        rhs={
-            state: "+".join(f"({c!r})*{term}" for term, c in law.items())
-            for state, law in zip(states, laws, strict=True)
-        },
-        terms={
-            f"d{state}": {term: repr(c) for term, c in law.items()} for state, law in zip(states, laws, strict=True)
-        },
-        parameters={},
-        initial=dict(zip(states, known["initial"], strict=True)),
         n=ROWS,
         fs=PER_PERIOD / known["period"],
-        noise=0.0,
         substeps=STEPS // PER_PERIOD,
         citation=cells.facts()["dysts_source"],
     )
-    return system, laws
+    return system, known["terms"]
 
 
 @lru_cache(maxsize=8)
@@ -128,12 +119,10 @@ def _bayeq(name: str, noise: float, seed: int, told: bool) -> Outcome:
 def _rates(laws: Sequence[Law], record: Record, states: Sequence[str]) -> Floats:
     from bayeq.expressions import Evaluator, parse
 
-    evaluate = Evaluator({state: record[state] for state in states})
-    rates = [
-        sum(value * np.asarray(evaluate(parse(term, states))) for term, value in law.items()) + np.zeros(ROWS)
-        for law in laws
-    ]
-    return np.column_stack(rates)
+    evaluate = Evaluator(record.channels)
+    return np.column_stack(
+        [sum((value * evaluate(parse(term, states)) for term, value in law.items()), np.zeros(ROWS)) for law in laws]
+    )
 
 
 def _aicc(residuals: Floats, terms: int) -> float:

@@ -127,7 +127,8 @@ def joint_posterior(comparison: Comparison) -> JointPosterior:
     system, vb, draws = comparison.system, comparison.vb, comparison.mcmc.draws
     assert draws is not None
     true = np.flatnonzero(comparison.truth)
-    scale = np.array([_power_of_ten(value) for value in comparison.truth[true]])
+    sizes = np.abs(comparison.truth[true])
+    scale = np.where(sizes < LARGE, 1.0, 10.0 ** np.floor(np.log10(sizes)))
     ((target, symbols),) = system.terms.items()
     names = tuple(vb.names[j] for j in true)
     mean = vb.coef[true] / scale
@@ -167,10 +168,6 @@ def _limits(draws: Floats, k: int, truth: float, ellipses: Mapping[tuple[int, in
     ends = np.array([min(v.min() for v in values), max(v.max() for v in values)])
     room = MARGIN * (ends[1] - ends[0]) or abs(truth)
     return ends + np.array([-room, room])
-
-
-def _power_of_ten(value: float) -> float:
-    return float(10.0 ** math.floor(math.log10(abs(value)))) if abs(value) >= LARGE else 1.0
 
 
 def _label(system: System, target: str, term: str, coefficient: str, scale: float) -> str:

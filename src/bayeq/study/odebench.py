@@ -27,7 +27,7 @@ from bayeq.records import Record
 from bayeq.study import cells
 from bayeq.study.cells import CONSTANT, Cell, Cells, Outcome
 from bayeq.study.config import choose
-from bayeq.systems import System, simulate
+from bayeq.systems import simulate
 
 #: Kind and per cent.
 NOISES = ("none 0", "multiplied 1", "multiplied 5", "added 1", "added 5")
@@ -64,32 +64,28 @@ WITH_CONSTANTS = {
 }
 
 
-def systems() -> list[str]:
-    """Numbers of the systems, as text."""
-    return [str(one["id"]) for one in cells.facts()["odebench"]]
-
-
 @lru_cache(maxsize=1)
 def _known() -> Mapping[str, Any]:
     return {str(one["id"]): one for one in cells.facts()["odebench"]}
+
+
+def systems() -> list[str]:
+    """Numbers of the systems, as text."""
+    return list(_known())
 
 
 @lru_cache(maxsize=256)
 def _clean(name: str, start: int) -> Record:
     """The trajectory from one of the two initial states."""
     known = _known()[name]
-    states = known["states"]
-    system = System(
-        name=f"odebench-{name}",
+    system = cells.system_of(
+        f"odebench-{name}",
+        known["states"],
+        known["rhs"],
+        known["initial"][start],
         title=known["name"],
-        chains=tuple(states),
-        rhs=dict(zip(states, known["rhs"], strict=True)),
-        terms={f"d{state}": {} for state in states},
-        parameters={},
-        initial=dict(zip(states, known["initial"][start], strict=True)),
         n=ROWS,
         fs=(ROWS - 1) / SECONDS,
-        noise=0.0,
         substeps=SUBSTEPS,
         citation=cells.facts()["odebench_source"],
     )
@@ -189,7 +185,7 @@ def _stlsq(record: Record, truth: Sequence[Record], functions: bool) -> Outcome:
     start = time.process_time()
     values, times = np.column_stack([record[name] for name in record.channels]), np.asarray(record.time)
     split = round(TRAINED * len(times))
-    best: tuple[float, Any] = (-np.inf, None)
+    highest, best = -np.inf, None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         for numbers in itertools.product(*GRID, (False, True) if functions else (False,)):
@@ -199,12 +195,12 @@ def _stlsq(record: Record, truth: Sequence[Record], functions: bool) -> Outcome:
                 score = float(model.score(values[split:], t=times[split:]))
             except (ValueError, np.linalg.LinAlgError):  # no term is left, or a column is not finite
                 continue
-            if score > best[0]:
-                best = (score, model)
+            if score > highest:
+                highest, best = score, model
     cpu = time.process_time() - start
-    if best[1] is None:
+    if best is None:
         return {"error": "no model", "cpu": cpu}
-    return {"cpu": cpu, "R2": [_r2(_run(best[1], one), one) for one in truth]}
+    return {"cpu": cpu, "R2": [_r2(_run(best, one), one) for one in truth]}
 
 
 def _model(pysindy: Any, threshold: Any, alpha: Any, order: Any, window: Any, degree: Any, functions: bool) -> Any:

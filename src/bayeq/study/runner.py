@@ -209,14 +209,13 @@ def _tried(work: Callable[..., Answer], *arguments: Any) -> tuple[Answer | None,
 
 
 def _run(config: StudyConfig, task: Task, name: str, data: Realisation) -> Result:
-    """One algorithm on one realisation, timed."""
     seed = (*_seed(config, task.system, task.index), ALGORITHM_STREAM)
     algorithm = ALGORITHMS[name]
     start = time.perf_counter()
     answer = algorithm(data, config, seed)
     seconds = time.perf_counter() - start
     metrics = measure(data.train, data.test, data.truth, answer.support, answer.coef)
-    if not metrics.finite:
+    if not np.isfinite(astuple(metrics)).all():
         raise FloatingPointError("coefficients that are not finite")
     details = answer.details
     selected = tuple(data.train.names[j] for j in np.flatnonzero(answer.support))
@@ -240,11 +239,6 @@ class Metrics:
     fdr: float  # false terms among the selected ones; 0 if none is selected
     exact: bool  # exactly the true terms are selected
     superset: bool  # all true terms are selected
-
-    @property
-    def finite(self) -> bool:
-        """Whether all of them are finite."""
-        return all(math.isfinite(getattr(self, name)) for name in METRICS)
 
 
 METRICS = tuple(f.name for f in fields(Metrics))
@@ -381,11 +375,9 @@ class Store(ResultStore):
 
     def results(self) -> Iterator[Result]:
         """All rows, by system, algorithm and index."""
+        statement = f"SELECT {', '.join(COLUMNS)} FROM results ORDER BY system, algorithm, idx"
         with self._guard():
-            for row in self._connection.execute(
-                f"SELECT {', '.join(COLUMNS)} FROM results ORDER BY system, algorithm, idx"
-            ):
-                yield _result(row)
+            yield from map(_result, self._connection.execute(statement))
 
 
 def _row(result: Result) -> tuple[Any, ...]:
@@ -490,7 +482,6 @@ def _per_batch(config: StudyConfig, task: Task) -> int:
 
 
 def _work(config: StudyConfig, batch: Sequence[Task]) -> list[Result]:
-    """A batch, in a worker or in this process."""
     results = []
     for task in batch:
         _warm(config, task.algorithms)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from bayeq.arrays import Floats
 from bayeq.errors import InputError, UnknownNameError, require_kind, require_mapping, whole_number
-from bayeq.expressions import Evaluator, Expression, Tape, parse
+from bayeq.expressions import Evaluator, Tape, parse
 from bayeq.records import Record, Truth
 from bayeq.systems.system import BandLimitedForce, System
 
@@ -105,12 +105,14 @@ def simulate(
             raise InputError(f"n must be at most {MAX_SAMPLES} samples, not {n}; simulate several records instead")
         inputs = _random_force(system, n, fs, force_stream)
 
-    states = _integrate(system, values, inputs, fs, interpolation)
+    known = [*system.states, *system.inputs, *system.parameters]
+    rhs = {state: parse(text, known) for state, text in system.rhs.items()}
+    states = _integrate(system, Tape.compile(rhs.values(), known), values, inputs, fs, interpolation)
     columns = dict(zip(system.states, states.T, strict=True))
     columns |= dict(zip(system.inputs, inputs.T, strict=True))
     evaluate = Evaluator({**values, **columns})
     for target, state in system.targets.items():
-        columns[target] = evaluate(_parsed(system)[state])
+        columns[target] = evaluate(rhs[state])
 
     noise_sd = _noise_sd(system, ratios, columns, states)
     measured = {
@@ -131,21 +133,10 @@ def simulate(
     )
 
 
-def _parsed(system: System) -> dict[str, Expression]:
-    """State -> right-hand side."""
-    known = [*system.states, *system.inputs, *system.parameters]
-    return {state: parse(text, known) for state, text in system.rhs.items()}
-
-
-def _tape(system: System) -> Tape:
-    """The right-hand side in states, inputs and parameters, so that parameters change without compiling."""
-    return Tape.compile(_parsed(system).values(), [*system.states, *system.inputs, *system.parameters])
-
-
 def _integrate(
-    system: System, values: Mapping[str, float], inputs: Floats, fs: float, interpolation: Interpolation
+    system: System, rhs: Tape, values: Mapping[str, float], inputs: Floats, fs: float, interpolation: Interpolation
 ) -> Floats:
-    """States at the samples, (n, states)."""
+    """States at the samples, (n, states); the tape takes states, inputs and parameters."""
     from bayeq.numerics.rk4 import Drive, check_interpolation, free_runs, interpolant
 
     check_interpolation(interpolation)
@@ -161,7 +152,7 @@ def _integrate(
     start = np.array([[system.initial[s] for s in system.states]], dtype=np.float64)
     parameters = np.array([list(values.values())], dtype=np.float64)
     stopped, states = np.zeros(1, dtype=np.uint32), np.empty((1, n, size))
-    free_runs(_tape(system).program(), drive, parameters, start, stopped, states)
+    free_runs(rhs.program(), drive, parameters, start, stopped, states)
     if stopped[0]:
         row = int(stopped[0]) - 1
         raise _diverged(system, f"at {row / fs:g} s (row {row})")

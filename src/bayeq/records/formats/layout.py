@@ -144,17 +144,12 @@ def sniff(path: Path, encoding: str, where: str = "", skip: int = 0) -> Layout:
         header = _fit_header(where, header, cells, line, lines[first][0])
     stamps = tuple(i for i, cell in enumerate(cells) if not is_number(cell) and parse_stamp(cell) is not None)
     quoted = delimiter == "," and any(map(_QUOTED_COMMA.search, data))
-    comma = (quoted or delimiter in (";", "\t", "|")) and not any(_has_point(row, delimiter, stamps) for row in data)
+    comma = (quoted or delimiter in (";", "\t", "|")) and not any(
+        "." in cell for row in data for i, cell in enumerate(split(row, delimiter)) if i not in stamps
+    )
     step = table.step if table is not None and table.step is not None else stated_step(comments)
     comment = comments[-1] if comments else ""
     return Layout(encoding, delimiter, header, comment, lines[first][0] - 1, width, comma, stamps, step)
-
-
-def _has_point(row: str, delimiter: str | None, stamps: tuple[int, ...]) -> bool:
-    """Whether a row has a point in a cell that is no time stamp."""
-    if not stamps:
-        return "." in row
-    return any("." in cell for i, cell in enumerate(split(row, delimiter)) if i not in stamps)
 
 
 def _header(rows: list[str], delimiter: str | None, where: str) -> tuple[list[str] | None, int]:
@@ -177,17 +172,16 @@ def _header(rows: list[str], delimiter: str | None, where: str) -> tuple[list[st
 
 def _fit_header(where: str, header: list[str], row: list[str], line: int, row_line: int) -> list[str]:
     """Bring the header to the width of the rows where one of them ends in a delimiter."""
-    if len(header) == len(row) + 1 and not header[-1]:
-        return header[:-1]
     if len(header) == len(row) - 1 and not row[-1]:
         return [*header, ""]
-    if len(header) != len(row):
+    names = fitted(header, len(row))
+    if names is None:
         hint = "; if the comma is the decimal mark, write points" if len(row) == 2 * len(header) else ""
         raise FileFormatError(
             f"{where}, line {row_line}: {len(row)} values, but the header in line {line} names {len(header)} "
             f"column{'s' * (len(header) != 1)}{hint}"
         )
-    return header
+    return names
 
 
 def comment_header(layout: Layout) -> list[list[str]]:
@@ -195,11 +189,11 @@ def comment_header(layout: Layout) -> list[list[str]]:
     if layout.header is not None or not layout.comment:
         return []
     found = []
-    for width in (layout.width, layout.width - 2):
-        names = words(layout.comment, layout.delimiter, width) if width > 0 else []
+    for width in range(layout.width, 0, -2)[:2]:
+        names = words(layout.comment, layout.delimiter, width)
         if len(names) != width:
-            names = words(layout.comment, None, width) if width > 0 else []
-        if width > 0 and len(names) == width and is_words(names):
+            names = words(layout.comment, None, width)
+        if len(names) == width and is_words(names):
             found.append(names)
     return found
 
