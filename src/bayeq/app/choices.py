@@ -1,7 +1,4 @@
-"""What is chosen on the page, above all the roles of channels, and the command that this makes.
-
-Commands are words for a process, never a line for a shell.
-"""
+"""What is chosen on the page, and the command that this makes: words for a process, never a line for a shell."""
 
 from __future__ import annotations
 
@@ -151,10 +148,7 @@ class Choices:
 
 
 def discover_command(files: Sequence[str], choices: Choices) -> list[str]:
-    """What finds the equations of one or several records; it writes `EQUATION` and `REPORT` where it is run.
-
-    InputError for roles that make no chain.
-    """
+    """The command that finds the equations and writes `EQUATION` and `REPORT`; InputError for roles without a chain."""
     words = ["discover", *files, *choices.words]
     for chain in chains_of(choices.roles):
         words += ["--chain", chain]

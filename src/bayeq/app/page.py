@@ -197,7 +197,6 @@ def choice_steps(session: Session) -> None:
 
 
 def stop_button(session: Session) -> Any:
-    """The button that stops what is being done."""
     made = ui.button("Stop", on_click=lambda: background_tasks.create(session.stop()))
     return made.props("no-caps outline color=negative")
 
@@ -276,7 +275,6 @@ def command(words: str) -> None:
 
 
 def heading(number: int, title: str) -> None:
-    """The title of a step."""
     ui.html(f"{number}. {title}", tag="h2", sanitize=False)
 
 

@@ -1,7 +1,4 @@
-"""One page for one browser on this computer, and who may talk to it.
-
-That is the browser that was given its address, on this computer, and no other page in it.
-"""
+"""One page for one browser on this computer: the one that was given its address, and no other page in it."""
 
 from __future__ import annotations
 
@@ -119,8 +116,7 @@ GRACE = 1
 def serve(file: Path | None, port: int, browser: bool, say: Callable[[str], None]) -> None:
     """Show the page until it is interrupted, on a port of this computer alone (0: a free one).
 
-    A file is opened where it is; `say` is called with the address. MissingExtraError where the framework, or what
-    reports need, is not installed; InputError for a file that is not there, or a port in use.
+    A file is opened where it is; `say` is called with the address. InputError for a file or a port that cannot be used.
     """
     with needing("nicegui", "app", "the local page"):
         import nicegui  # noqa: F401

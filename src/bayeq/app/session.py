@@ -1,7 +1,4 @@
-"""What was opened, chosen and found, one for the page however many windows show it, and the private folder for it.
-
-What is done is a command of bayeq in a process of its own.
-"""
+"""What was opened, chosen and found, and the private folder for it; commands in processes of their own do the work."""
 
 from __future__ import annotations
 
@@ -95,11 +92,7 @@ def _remove_abandoned() -> None:
 
 
 class Session:
-    """The state of the page, and what can be done with it.
-
-    `changed` is called with the parts of the page that are no longer right: "file", "command", "run", "result",
-    "progress".
-    """
+    """The state of the page; `changed` is called with those parts of the page that have to be shown again."""
 
     def __init__(self, workspace: Workspace) -> None:
         self.workspace = workspace
@@ -212,7 +205,6 @@ class Session:
             self.changed("run", "result")
 
     async def stop(self) -> None:
-        """Stop what is being done."""
         if self._child is not None:
             await self._child.stop()
 
@@ -297,7 +289,6 @@ class Child:
         self._process: asyncio.subprocess.Process | None = None
 
     async def run(self) -> Outcome:
-        """Run it to its end."""
         # -P, and no empty entry in PYTHONPATH: a file in the folder that is called numpy.py is not imported
         paths = filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(os.path.abspath, paths))}

@@ -75,10 +75,7 @@ def _plain(value: object) -> Any:
 
 
 def fixed_terms(options: Mapping[str, Any], common: Mapping[str, Any]) -> dict[str, Any]:
-    """The options of `discover` for one file with the terms of the `common` equation, as it is saved, and no others.
-
-    InputError for an equation without terms.
-    """
+    """The options of `discover` for one file, with the terms of the `common` equation alone; InputError without any."""
     terms = {
         one["target"]: [_with_ranges(t["name"], one) for t in one["terms"] if t["shown"]] for one in common["equations"]
     }
@@ -148,10 +145,7 @@ class Identity:
 
 
 def files_of(sources: Sequence[str | os.PathLike[str]]) -> tuple[Path, ...]:
-    """The files, and those of each folder whose suffix is that of a known format, in the order of their numbers.
-
-    InputError for a folder without such files, no files at all, or one that is named twice.
-    """
+    """Files, and those of folders, in the order of their numbers; InputError for none, or one that is named twice."""
     paths = [as_path(source, "each of the files") for source in sources]
     for path in paths:
         try:
@@ -340,10 +334,7 @@ def _equations(content: Mapping[str, Any] | None) -> list[Mapping[str, Any]]:
 
 
 def _terms(equation: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """What rows say of the terms of an equation, the constants inside them, and the constant.
-
-    The constant is in the equation where it is written out.
-    """
+    """Rows of the terms of an equation, of the constants inside them, and of its constant."""
 
     def row(name: str, *numbers: Any, unit: Any = None) -> dict[str, Any]:
         coef, sd, ci95, pip, included, shown = numbers

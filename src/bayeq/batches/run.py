@@ -200,7 +200,6 @@ class BatchStore(ResultStore):
         return any(Identity(*row).holds(path or Path(key[0])) for row in rows)
 
     def outcome(self, path: Path, key: Key) -> BatchFile | None:
-        """What became of a file."""
         with self._guard():
             rows = self._read(f"SELECT status, message, answer FROM files WHERE {self._is_key}", key)
             for status, message, answer in rows:

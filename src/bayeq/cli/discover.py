@@ -400,7 +400,6 @@ class _FileReading:
 
 
 def _show(found: Batch, store: Path, as_json: bool) -> None:
-    """Print the batch as text, or as one JSON object."""
     if not as_json:
         click.echo(str(found))
         return

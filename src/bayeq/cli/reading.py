@@ -1,7 +1,4 @@
-"""Files to records, as the options about reading say, which `discover` and `predict` have in common.
-
-In this order: the file is read (lines passed over, units, time), joined with others, rows are taken, offsets removed.
-"""
+"""Files to records, as the options say: read (units, time), joined with others, rows taken, offsets removed."""
 
 from __future__ import annotations
 
@@ -72,10 +69,7 @@ reading_options = opt.together(*_OF_FILES, *_OTHERS)
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What the options say about reading; `offsets` are subtracted, None for the mean.
-
-    `stream` is whether files are read some rows at a time; None where their size decides.
-    """
+    """What the options about reading say; offsets of None are means, a `stream` of None goes by the size of files."""
 
     time: str | None = None
     fs: float | None = None
@@ -124,10 +118,7 @@ class Reading:
         return replace(self, stream=True)
 
     def extents(self, files: Sequence[Path], paths: Mapping[str, str]) -> list[Extent]:
-        """The rows of files that are read some at a time.
-
-        An InputError says which option takes whole records, which file cannot be read, or that rows are not there.
-        """
+        """The rows of files that are read some at a time; InputError for an option that takes whole records."""
         from bayeq.discovery.streaming.work import Extent
         from bayeq.records.stream import open_streams
 
@@ -157,11 +148,7 @@ class Reading:
         paths: Mapping[str, str],
         progress: Callable[[str, int, int], None],
     ) -> list[Record]:
-        """The records of the files; ``-`` is standard input, and channels that are not used need not be numbers.
-
-        InputError for a file that is named twice or cannot be read, a channel that is not there, a rate that
-        contradicts the file, rows that are not there.
-        """
+        """The records of the files; ``-`` is standard input, and channels that are not used need not be numbers."""
         from bayeq.records import with_row_numbers
 
         _require_different(files)
@@ -187,7 +174,6 @@ class Reading:
         return record
 
     def _read(self, file: Path, used: Sequence[str], paths: Mapping[str, str]) -> list[Record]:
-        """The records of one file."""
         from bayeq.records import read
         from bayeq.records.names import is_time_name
 

@@ -1,7 +1,4 @@
-"""Commands about saved equations: `bayeq show`; `bayeq predict` of another record, `bayeq plan` of the next one.
-
-And `bayeq benchmark`, the row of a table for measured data with an official split into training and test.
-"""
+"""Commands about saved equations: `bayeq show`, `predict`, `plan`; and `benchmark`, for data with an official test."""
 
 from __future__ import annotations
 

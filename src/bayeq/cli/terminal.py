@@ -105,11 +105,7 @@ MANY = 1000
 
 
 class Progress:
-    """What is being done; call it with (stage, done, total).
-
-    A thread watches, for a stage may take minutes without a call. With `verbose` every stage is named at once, and how
-    long it took.
-    """
+    """What is being done, called with (stage, done, total) and watched by a thread; `verbose` names each stage."""
 
     def __init__(self, verbose: bool = False) -> None:
         self.verbose = verbose
@@ -182,7 +178,6 @@ class Progress:
             self.said, self.named = now, self.stage
 
     def _described(self) -> str:
-        """The stage in words, and how much of it is done."""
         count = f", {self.done:,} of {self.total:,}" if self.total > 1 else ""
         return STAGES.get(self.stage, self.stage) + count
 
@@ -239,11 +234,7 @@ class Outputs:
     explain: bool = False
 
     def check(self, files: Sequence[Path], options: Mapping[str, Any], as_json: bool = False) -> None:
-        """Refuse, before the work, what could not be done after it; `files` are the records that are read.
-
-        InputError for a file that cannot be written, is one of the records or is named twice, or for a method or an
-        order that does not go with what is asked for; MissingExtraError for what is not installed.
-        """
+        """Refuse, before the work, what could not be done after it; `files` are the records that are read."""
         if self.explain and as_json:
             raise InputError("--explain explains the text, and --json prints none; leave one of them out")
         if self.refine and options.get("target"):
@@ -296,8 +287,7 @@ class Outputs:
     ) -> None:
         """Print the equations, then write the files; `files`, those that were read, come with their state before.
 
-        Each is done whatever becomes of the others: what was found is printed although a file cannot be written, which
-        is an InputError at the end.
+        Each is done whatever becomes of the others; InputError at the end for those that cannot be written.
         """
         from bayeq.states.prepare import numbered
 
@@ -406,11 +396,7 @@ OUTPUTS = tuple(field.name for field in fields(Outputs))
 
 
 def require_output(path: Path | None, files: Sequence[Path], kind: Kind) -> None:
-    """Refuse, before the work, a file that could not be written after it, if one was named.
-
-    It cannot be there, is one of the `files` that are read, or ends otherwise than its kind; or what makes it is not
-    installed.
-    """
+    """Refuse, before the work, a file that could not be written after it: its place, its kind, or what makes it."""
     if path is None:
         return
     _require_place(path, files)

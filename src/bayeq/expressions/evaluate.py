@@ -72,10 +72,7 @@ class Evaluator:
         self._shape = next(iter(shapes), ())
 
     def __call__(self, expression: Expression) -> Floats:
-        """Values of the expression, of the columns' shape (``()`` if there are only floats); read-only.
-
-        UnknownNameError: if the expression uses a name that is not a column.
-        """
+        """Values in the shape of the columns, read-only; UnknownNameError for a name that is no column."""
         with np.errstate(all="ignore"):
             value = self._value(expression.tree)
         if isinstance(value, np.float64):
@@ -228,10 +225,7 @@ class Tape:
 
     @classmethod
     def compile(cls, expressions: Iterable[Expression], variables: Sequence[str]) -> Tape:
-        """Compile expressions in the given variables; common sub-expressions are computed once.
-
-        UnknownNameError: if an expression uses a name that is not a variable.
-        """
+        """Compile expressions in some variables, common parts once; UnknownNameError for a name that is none."""
         compiler = _Compiler(variables)
         with np.errstate(all="ignore"):
             outputs = [compiler.register(e.tree) for e in expressions]
@@ -272,7 +266,6 @@ class _Compiler:
         self.known: dict[tuple[int, int, int], int] = {}
 
     def register(self, node: Node) -> int:
-        """The register that holds the value of a node."""
         match node:
             case Number(value) | Unknown(value=value):
                 return self.constant(np.float64(value))
@@ -292,7 +285,6 @@ class _Compiler:
                 return self.emit(_OPCODES[op], self.register(left), self.register(right))
 
     def call(self, function: str, arguments: Sequence[Node]) -> int:
-        """The register that holds the value of a function."""
         row = FUNCTIONS[function]
         if row.definition:
             return self.register(substituted(template(row.definition), arguments))

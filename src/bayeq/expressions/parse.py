@@ -1,8 +1,4 @@
-"""``parse``: the text of a term becomes a tree, and nothing else can happen.
-
-The text is divided into tokens, and these are parsed by precedence. Terms come from files and command lines: nothing
-here evaluates, imports or looks up anything.
-"""
+"""``parse``: the text of a term, perhaps a stranger's, becomes a tree; nothing is evaluated, imported or looked up."""
 
 from __future__ import annotations
 
@@ -167,7 +163,6 @@ class _Parser:
         return node
 
     def whole(self) -> Node:
-        """The tree of the whole text."""
         node = self.value()
         if self.next.kind != "end":
             raise self.error(self.misplaced())

@@ -11,8 +11,7 @@ from bayeq.expressions.functions import COMPARISONS, FUNCTIONS
 from bayeq.expressions.nodes import Binary, Call, Constant, Expression, Negate, Node, Number, Symbol, Unknown
 from bayeq.expressions.parse import substituted, template
 
-# SymPy computes powers of numbers exactly, 9**9**9 with all its digits. Numbers that do not fit into a float
-# are computed in floating point instead, as they are everywhere else.
+# SymPy computes 9**9**9 with all its digits: numbers that do not fit into a float are computed in floating point.
 _MAX_BITS = 1024
 _LARGE_POWER = 64
 

@@ -25,8 +25,7 @@ LEFT = (0, 1, 2, 8)
 # Characters of a line; commands, which are copied, and tables of many wide numbers may have more.
 WIDTH = 100
 
-# Digits of numbers, characters of names and units, which are cut so that rows stay rows, and blanks between columns:
-# the first that fit.
+# Digits of numbers, characters of names and units, and blanks between columns: the first that fit.
 SIZES = ((4, 24, 2), (3, 24, 2), (3, 24, 1), (3, 16, 1), (3, 12, 1), (3, 8, 1))
 SHORT = {"power by octave": "octaves", TITLES[INPUT]: "input"}
 
@@ -230,7 +229,6 @@ def as_text(found: RecordInfo, plain: bool = False) -> str:
 
 
 def _wrapped(text: str) -> list[str]:
-    """A sentence as lines."""
     return textwrap.wrap(
         printable(text), WIDTH, initial_indent="  ", subsequent_indent="    ", break_long_words=False,
         break_on_hyphens=False,

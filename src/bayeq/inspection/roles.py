@@ -263,9 +263,8 @@ def guess_roles(
 ) -> Guess:
     """Put channels that move together to chains and inputs.
 
-    By what units and names say (`clues`), what derives from what (`links`, the surest first), `first`: channels
-    whose changes the others explain, with the share, which are first-order states unless something else is known,
-    how much two channels are `alike`, the largest correlation over all lags, and which ones are `rough` as noise.
+    By `clues`, what units and names say; `links`, what derives from what, the surest first; `first`, channels that the
+    others explain as states of first order, with the share; how much two are `alike`; and which are `rough` as noise.
     """
     reasons: dict[str, str] = {}
     questions: list[str] = []

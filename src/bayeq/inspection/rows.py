@@ -1,7 +1,4 @@
-"""The rows of a file: time, experiments and gaps, and spikes, stuck and clipped stretches.
-
-Bad samples are suspected by a quick look at all rows; `find_bad_samples` decides.
-"""
+"""The rows of a file: time, experiments and gaps; suspects of bad samples, on which `find_bad_samples` decides."""
 
 from __future__ import annotations
 
@@ -40,8 +37,7 @@ TRIAL_WORDS = ("trial", "run", "experiment", "exp", "test", "group", "segment", 
 # An experiment has at least this many rows: what changes more often is a signal.
 LEAST_ROWS = 20
 
-# A channel rests in a stretch of a period of its motion or more where it moves less than this share of what it usually
-# does; a motion goes on for at least this many such stretches.
+# A channel rests in a stretch of a period where it moves this share of the usual; a motion lasts this many stretches.
 REST, MOVES = 0.05, 4
 
 # Fewer rows do not show that a column rises steadily.
@@ -140,10 +136,7 @@ def _rises(values: Floats) -> bool:
 
 
 def _trial_column(record: Record, restarts: Ints, clock: Floats | None, others: set[str | None]) -> str | None:
-    """The column that numbers the experiments: whole numbers that change where time starts over or has a long gap.
-
-    One whose name says so may change elsewhere, or not at all.
-    """
+    """The column of whole numbers that change where time starts over or has a long gap, or whose name says so."""
     for name, values in record.channels.items():
         if name in others or not np.isfinite(values).all() or not (values == np.round(values)).all():
             continue
@@ -180,10 +173,7 @@ def gaps_of(records: Sequence[Record]) -> list[Gap]:
 
 
 def starts_from_rest(record: Record, names: Sequence[str], period: float) -> list[int]:
-    """Rows, counted from 1, from which channels move again after all of them rested, to within a period [s].
-
-    A motion after another one may be an experiment of its own.
-    """
+    """Rows, from 1, from which channels move after all rested for a period [s]: perhaps another experiment."""
     step = record.dt
     width = max(LEAST_ROWS, math.ceil(period / step)) if step else 0
     channels = [record[name] for name in names if np.isfinite(record[name]).all()]
@@ -203,9 +193,8 @@ def starts_from_rest(record: Record, names: Sequence[str], period: float) -> lis
 #: Rows that are bad, counted from 1, by channel and kind ("spikes", "stuck", "clipped").
 Bad = dict[str, dict[str, list[int]]]
 
-# Files of up to WHOLE rows and MANY channels are looked at whole. In larger ones windows around what is most suspect,
-# of MOST rows in all: a third difference, or a run of equal samples, beyond SUSPECT times the usual one. Beside a
-# window there are MARGIN more rows, for a sample is judged by those on both sides of it.
+# Files of up to WHOLE rows and MANY channels are looked at whole, of larger ones MOST rows: windows, with a margin by
+# which their ends are judged, around third differences or runs of equal samples beyond SUSPECT times the usual ones.
 WHOLE, MANY, MOST = 20_000, 16, 8_000
 WINDOW, MARGIN = 1_600, 200
 SUSPECT = 30.0

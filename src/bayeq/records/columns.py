@@ -1,8 +1,4 @@
-"""``Columns``: what a file holds before it is a record; every reader returns one.
-
-`Headers` are the names of the columns in the three spellings by which they may be asked for; `Request` says which ones
-are asked for.
-"""
+"""``Columns``: what a file holds before it is a record; `Headers` name them, a `Request` says which are wanted."""
 
 from __future__ import annotations
 
@@ -275,10 +271,7 @@ class Request:
         return replace(data, headers=new, values=[data.values[i] for i in rows], time=time)
 
     def each(self, paths: Sequence[str], where: str) -> list[Request]:
-        """This request for each of the arrays that ``[*]`` stands for; itself where no path has one.
-
-        `paths` are those of all arrays of the file, which messages call `where`.
-        """
+        """This request for each of the arrays that ``[*]`` stands for among the `paths` of a file; or itself."""
         starred = [p for p in (*(self.names or ()), self.time, self.group) if p is not None and STAR in p]
         numbers: dict[str, set[int]] = {}
         for path in starred:
@@ -388,10 +381,7 @@ def assemble(
 def find_time(
     data: Columns, units: Mapping[int, str | None], time: str | None = None, fs: float | None = None
 ) -> int | None:
-    """The column that is time: the one named, else by its name, else the first rising one whose unit is a time.
-
-    `units` are those of the columns; with a rate `fs` no column is time.
-    """
+    """The column that is time: the one named, else by its name, else the first rising one in a unit of time."""
     if fs is not None:
         return None
     if time is not None:

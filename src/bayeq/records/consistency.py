@@ -59,8 +59,7 @@ MOST_COHERENT = 0.9999
 MOST_DELAY = 32
 STEPS = 4
 
-# Of delays that fit this share of the best the one nearest to none is taken: motion of one frequency looks the same
-# after a period.
+# Of delays that fit this share of the best the least is taken: motion of one frequency looks the same after a period.
 AS_GOOD = 0.98
 
 
@@ -224,7 +223,6 @@ def _detrended(time: Floats, values: Floats, degree: int) -> Floats:
 
 
 def _smooth(values: Complexes) -> Complexes:
-    """Averages over neighbouring bins."""
     kernel = np.full(2 * SMOOTHING + 1, 1.0 / (2 * SMOOTHING + 1))
     return np.convolve(np.pad(values, SMOOTHING, mode="edge"), kernel, mode="valid")
 

@@ -35,9 +35,8 @@ NEAR = 0.02
 # Channels are exchanged where one gain differs from that of the units by more than this, and the other by less [ln].
 EXCHANGED, AS_STATED = math.log(2.0), math.log(1.1)
 
-# Clipping: a run of this many equal samples at an extreme, in a channel whose samples are equal nowhere else; or this
-# many samples at the extreme, and this many times as many as at any of the next levels. A channel of few levels, or
-# one that rests at the extreme for most of the time, is switched and not clipped.
+# Clipping: a run of this many equal samples at an extreme, and equal ones nowhere else, or this many in all and so many
+# times those of any next level. A channel of few levels, or at its extreme for most of the time, is switched.
 LEAST_RUN = 3
 LEAST_CLIPPED = 10
 TIMES_NEXT = 5
@@ -45,17 +44,15 @@ NEXT_LEVELS = 5
 LEAST_LEVELS = 20
 MOST_AT_REST = 0.5
 
-# Dropped samples: steps of time that are multiples of the median within this share. Repeated ones: this many places,
-# in a channel whose usual steps are this many levels; one that repeats more than this share of its samples is held on
-# purpose.
+# Dropped samples: steps of time that are multiples of the median within this share. Repeated ones: in this many places,
+# where usual steps are this many levels; a channel that repeats more than this share is held on purpose.
 NEAR_MULTIPLE = 0.1
 LEAST_REPEATS = 3
 LEVELS_PER_STEP = 8.0
 MOST_REPEATED = 0.3
 
-# Straight lines: second differences of this share of the largest, or as many levels as rounding makes of none. Bends
-# between them: at least this many, in fewer than this share of the rows, this many times larger; they lie evenly and
-# differ.
+# Straight lines: second differences of this share of the largest, or of as many levels as rounding makes. Bends between
+# them, at even places and unlike: at least this many, in fewer than this share of the rows, so many times larger.
 STRAIGHT, ROUNDED, LEAST_BENDS, MOST_BENT, BENT = 1e-3, 2.01, 20, 0.6, 10.0
 
 # Steps of time [s] from which on they may be milliseconds without a unit, of motion of less rows a period than this.
@@ -472,10 +469,7 @@ class Clipping(NamedTuple):
 
 
 def clipped_levels(values: Floats, shut: bool = False) -> list[Clipping]:
-    """Extremes that samples stay at more often than at the levels next to them.
-
-    What may be `shut`, as a valve or a heater, is not clipped at 0.
-    """
+    """Extremes that samples stay at more often than at the next levels; not 0 of what may be `shut`, as a valve."""
     starts, lengths = equal_runs(values)
     at_extremes = np.isin(values[starts], (values.min(), values.max()))
     if not (lengths[at_extremes] >= LEAST_RUN).any():  # most channels, which need not be sorted
@@ -518,10 +512,7 @@ def _clipped(name: str, values: Floats, shut: bool) -> list[Finding]:
 
 
 def _repeated(name: str, values: Floats, shut: bool) -> list[Finding]:
-    """Samples that repeat the one before, where steps on either side say that the channel was moving.
-
-    What may be `shut`, as a valve or a heater, repeats 0.
-    """
+    """Samples that repeat the one before in motion; not 0 of what may be `shut`, as a valve."""
     steps = np.abs(np.diff(values))
     if np.count_nonzero(steps == 0.0) > MOST_REPEATED * len(steps) or not steps.any():
         return []

@@ -304,10 +304,7 @@ def near_files(path: Path) -> str:
 
 
 def as_records(source: Any, t: Any = None) -> list[Record]:
-    """One record or several, from what `as_record` takes or a sequence of such; `t` is one for all.
-
-    An InputError says that there is no record, or something that cannot be one.
-    """
+    """One record or several, of what `as_record` takes or a sequence of such; `t` is one for all."""
     if isinstance(source, Sequence) and not isinstance(source, (str, bytes)) and not _is_data(source):
         records = [as_record(one, t) for one in source]
     else:

@@ -67,11 +67,9 @@ class RecordStream:
         return grid(self.record.n)
 
     def of(self, channels: Sequence[str]) -> RecordStream:
-        """The stream of these channels, and of time; without what is known of a simulated record."""
         return RecordStream(with_only(self.record, channels))
 
     def read(self, start: int, stop: int) -> Record:
-        """Rows `start` to `stop`."""
         return self.record.take(slice(start, stop))
 
 
@@ -90,7 +88,6 @@ class FileStream:
         return self.rows.bounds
 
     def of(self, channels: Sequence[str]) -> FileStream:
-        """The stream of these channels, and of time."""
         paths = self.request.channels
         kept = {name: paths[name] for name in channels if name in paths}
         others = tuple(name for name in channels if name not in paths)
@@ -163,10 +160,7 @@ def open_streams(
     units: Mapping[str, str] | None = None,
     channels: Mapping[str, str] | None = None,
 ) -> list[FileStream]:
-    """Files, and those of folders, as records that are read some rows at a time; the options are those of `bayeq.read`.
-
-    A FileFormatError names a file that is missing, or of a format of which rows cannot be read by themselves.
-    """
+    """Files, and those of folders, as records that are read some rows at a time; options are those of `bayeq.read`."""
     if any(STAR in path for path in (channels or {}).values()):
         raise InputError(f"a path with {STAR} is several records; name one of them, files are streamed one by one")
     request = Request(None, dict(channels or {}), time, None, fs)

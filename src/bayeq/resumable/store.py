@@ -114,7 +114,6 @@ class ResultStore:
                 self._connection.execute(statement)
 
     def _check(self) -> None:
-        """Check what the file is."""
         with self._guard():
             if self._one("PRAGMA application_id") != self.application:
                 raise FileFormatError(
@@ -129,7 +128,6 @@ class ResultStore:
                 raise sqlite3.DatabaseError(verdict)
 
     def close(self) -> None:
-        """Close the file."""
         self._connection.close()
 
     def __enter__(self) -> Self:
@@ -237,7 +235,6 @@ class Claims:
             return tuple(key for key in free if not store.done(key))
 
     def _beat(self) -> None:
-        """Prolong the claims now and then."""
         while not self._stop.wait(BEAT):
             with suppress(FileFormatError), self._lock:  # the next time will do
                 self._store._write("UPDATE claims SET until = ? WHERE owner = ?", (time.time() + LEASE, self.owner))
@@ -281,15 +278,12 @@ def fill(
 ) -> Generator[tuple[Answer, int, int], None, None]:
     """Compute the results that a store lacks; the caller puts each answer into it.
 
-    A result depends on nothing but its key, so that neither the number of workers, nor batches, nor a kill changes it;
-    several processes may fill a store. `missing` gives the keys that it lacks now, in groups that are computed
-    together, and is asked until there are none. `tasks` turns the keys of `size` groups into a task, `work` a task
-    into its answer, and `count` gives the number of groups in an answer. Tasks and answers are sent between processes:
-    `jobs` of them compute, with 1 this process alone, or else the workers of a
-    `bayeq.discovery.streaming.cluster.Cluster`.
+    `missing` gives the keys that it lacks now, in groups that are computed together, and is asked until there are none.
+    `tasks` turns the keys of `size` groups into a task, `work` a task into its answer, and `count` gives the number of
+    groups in an answer. `jobs` processes compute, with 1 this one alone, or the workers of a cluster. A result depends
+    on its key alone, whatever the workers, batches and kills; several processes may fill a store.
 
-    Yields an answer as it is ready, the number of groups done, with it, and of these and what was missing when it was
-    last looked.
+    Yields an answer as it is ready, the number of groups done with it, and of these and the missing ones.
     """
     done = 0
     with Claims(store) as claims:

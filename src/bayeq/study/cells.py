@@ -82,10 +82,9 @@ def run_cells(
 ) -> Cells:
     """Measure the cells of a benchmark that an SQLite file, made if it is not there, does not hold.
 
-    Outcomes of several benchmarks may be in one file. A cell is text and numbers that say what is measured; its
-    `records` have consecutive seeds. `measure` turns a cell and a seed into an outcome that JSON can hold; it is a
-    function of a module, for worker processes import it. `progress` is called with (outcomes there, these and the
-    missing ones).
+    A cell is text and numbers that say what is measured; its `records` have consecutive seeds. `measure` turns cell and
+    seed into an outcome as JSON can hold it, and is a function of a module, for worker processes. `progress` is called
+    with (outcomes there, these and the missing ones).
     """
     whole_number("seeds", records, 1, MOST_RECORDS)
     whole_number("seed", first_seed, 0)

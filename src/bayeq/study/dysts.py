@@ -47,13 +47,11 @@ TEST_FUNCTIONS = 200
 
 
 def systems() -> list[str]:
-    """Names of the systems."""
     return list(cells.facts()["dysts"])
 
 
 @lru_cache(maxsize=128)
 def _system(name: str) -> tuple[System, Sequence[Law]]:
-    """A system, and its laws."""
     known = cells.facts()["dysts"][name]
     system = cells.system_of(
         name,
@@ -148,7 +146,6 @@ def _stlsq(name: str, noise: float, seed: int, weak: bool) -> Outcome:
 
 
 def _samples(record: Record, states: Sequence[str]) -> Any:
-    """States as PySINDy takes them."""
     import pysindy
 
     return pysindy.AxesArray(np.column_stack([record[s] for s in states]), {"ax_time": 0, "ax_coord": 1})
@@ -157,10 +154,7 @@ def _samples(record: Record, states: Sequence[str]) -> Any:
 def _fits(
     records: Sequence[Record], states: Sequence[str], seed: int, weak: bool
 ) -> tuple[Any, list[str], list[Floats], float]:
-    """The library, its terms, coefficients (C, P) at each threshold, and the seconds of CPU that one model takes.
-
-    From smoothed differences, or in weak form.
-    """
+    """The library, its terms, coefficients (C, P) at each threshold, and the seconds of CPU that one model takes."""
     with needing("pysindy", "pysindy", "PySINDy's fits"):
         import pysindy
     start = time.process_time()

@@ -185,10 +185,7 @@ def _unit(system: System, target: str, term: str) -> str:
 
 
 def draw_inclusion(panels: Sequence[Comparison]) -> Figure:
-    """Rao-Blackwellised probabilities of all terms by MCMC beside VB's w, a panel per system (Fig. 4).
-
-    Panels stand from left to right; the figure is as wide as a journal's page.
-    """
+    """Rao-Blackwellised probabilities of all terms by MCMC beside VB's w, a panel per system (Fig. 4)."""
     terms = [mathtext(name, order=panels[-1].system.states) for name in panels[-1].vb.names]
     figure, axes = style.new_panels(1, len(panels), height=26.0 + 3.7 * len(terms), sharey=True)
     for k, (ax, panel) in enumerate(zip(axes[0], panels, strict=True)):
@@ -218,10 +215,7 @@ def _bars(ax: Axes, panel: Comparison) -> list[Any]:
 
 
 def draw_joint(systems: Sequence[JointPosterior]) -> Figure:
-    """Pairwise joint posteriors: cloud of MCMC, mean and ellipse of VB, truth; a triangle per system (Fig. 5).
-
-    Systems stand row by row, two in a row. The figure is as wide as a journal's page, or as a column of it for one.
-    """
+    """Pairwise joint posteriors, a triangle per system: cloud of MCMC, mean and ellipse of VB, truth (Fig. 5)."""
     from matplotlib.lines import Line2D
 
     across = min(len(systems), 2)
@@ -269,7 +263,6 @@ def _triangle(block: Any, system: JointPosterior, title: str) -> None:
 
 
 def _pair(ax: Axes, system: JointPosterior, i: int, j: int) -> None:
-    """One pair of coefficients."""
     from matplotlib.patheffects import withStroke
 
     cloud = system.included[:, i] & system.included[:, j]
@@ -310,13 +303,9 @@ def _ticks(limits: Floats, intervals: int, margin: float) -> Floats:
 def write_figures(folder: Path, *, seed: int = 0, systems: Iterable[str] = STUDY_SYSTEMS) -> list[Path]:
     """Compute and draw the paper's Figs. 4 and 5: one realisation per system by the protocol of section 4.
 
-    Nominal parameters, 5 % noise, 2000 rows, columns standardised by eq. (32), the paper's prior and chains. Fig. 4
-    shows the inclusion probabilities of all terms, Fig. 5 the pairwise posteriors of the true terms' coefficients of
-    the nonlinear systems; without such systems there is none. The files ``fig4_inclusion`` and ``fig5_joint``, each as
-    ``.png`` and ``.svg``, go into a folder that is made if missing; the same seed gives the same bytes.
-
-    MissingExtraError without matplotlib; InputError for an argument out of range, a system that is not known, or files
-    that cannot be written.
+    Nominal parameters, 5 % noise, 2000 rows. Fig. 4 has the inclusion probabilities of all terms, Fig. 5, of nonlinear
+    systems, the pairwise posteriors of the true ones; as ``.png`` and ``.svg`` in a folder that is made if missing. The
+    same seed gives the same bytes. MissingExtraError without matplotlib; InputError for what cannot be used or written.
     """
     require_matplotlib()
     names = choose("system", systems, STUDY_SYSTEMS)

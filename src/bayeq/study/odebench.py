@@ -40,8 +40,7 @@ SUBSTEPS = 50
 # A free run that explains more of the variance follows the trajectory.
 FOLLOWS = 0.9
 
-# The grid of PySINDy: thresholds, ridges, orders of differences, windows of smoothing, degrees. Models are fitted to
-# the first rows.
+# The grid of PySINDy: thresholds, ridges, orders of differences, windows of smoothing, degrees; the rows of its fits.
 GRID = ((0.05, 0.1, 0.15), (0.025, 0.05, 0.075), (2, 3, 4), (None, 15), (1, 2, 3))
 TRAINED = 0.7
 
@@ -93,10 +92,7 @@ def _clean(name: str, start: int) -> Record:
 
 
 def draw(name: str, start: int, noise: str, points: float, seed: int) -> Record:
-    """A noisy trajectory from one of the two initial states.
-
-    The seed draws the noise, one of `NOISES`, and which share of the points is kept, always with the first.
-    """
+    """A noisy trajectory; the seed draws the noise, and which share of the points is kept beside the first."""
     clean = _clean(name, start)
     kind, size = noise.split()
     rng = np.random.default_rng([seed, int(name), start])
@@ -137,7 +133,6 @@ def measure(cell: Cell, seed: int) -> Outcome:
 
 
 def informed(name: str) -> list[str]:
-    """The informed dictionary of a system."""
     known = _known()[name]
     if int(name) in WITH_CONSTANTS:
         return WITH_CONSTANTS[int(name)].split("; ")
@@ -176,10 +171,7 @@ def _r2(run: Floats, clean: Record) -> float:
 
 
 def _stlsq(record: Record, truth: Sequence[Record], functions: bool) -> Outcome:
-    """PySINDy by the authors' grid; sin, cos and exp beside the monomials are among its choices where asked for.
-
-    The best has the largest R2 of the derivatives in the last 30 %; the CPU time is that of the whole grid.
-    """
+    """PySINDy by the authors' grid, with sin, cos and exp if asked for; the best by R2 of the last 30 %."""
     with needing("pysindy", "pysindy", "PySINDy's fits"):
         import pysindy
     start = time.process_time()
@@ -245,10 +237,7 @@ def cells_of(
     dictionaries: Sequence[str],
     methods: Sequence[str],
 ) -> list[Cell]:
-    """The cells of some systems (None: all), `NOISES`, shares of the points, `DICTIONARIES` and `METHODS`.
-
-    Names that are not known are errors.
-    """
+    """The cells of some systems (None: all), `NOISES`, shares of the points, `DICTIONARIES` and `METHODS`, checked."""
     return [
         (name, start, noise, float(share), dictionary, method)
         for name in choose("system", systems() if names is None else names, systems())
@@ -272,7 +261,6 @@ def _kind(cell: Cell) -> Cell:
 
 
 def _about(noise: Any, points: Any, dictionary: Any, method: Any, rests: Any) -> dict[str, object]:
-    """The columns that say what a line is about."""
     return {
         "noise": noise,
         "points": f"{100 * points:g} %",

@@ -73,12 +73,10 @@ NOTES = {
 
 
 def aggregate(results: Iterable[Result], plan: Plan | None = None) -> list[Row]:
-    """Table 2: a row per system and algorithm, in the paper's order.
+    """Table 2: a row per system and algorithm, in the paper's order, of results in the order of `Store.results`.
 
-    Results are by system, algorithm and index, as `Store.results` gives them. A row has means over the `n` realisations
-    that did not fail under the names of the metrics, `e_theta_median`, Monte Carlo standard errors in `se`, the paper's
-    values (or None) in `paper`, mean `seconds`, and how many realisations failed, did not converge, or are still
-    missing of those that the plan asks for.
+    Means over the `n` realisations that did not fail, `e_theta_median`, standard errors in `se`, the paper's values (or
+    None) in `paper`, `seconds`, and how many realisations failed, did not converge, or are missing of the plan.
     """
     groups = groupby(results, key=lambda r: (r.system, r.algorithm))
     cells = {key: _cell(*key, list(group)) for key, group in groups}
@@ -185,10 +183,7 @@ def _ratios(seconds: Mapping[str, float], name: str) -> dict[str, float | None]:
 
 
 def show(store: Store, form: Format = "text", table: Literal[2, 3] = 2) -> str:
-    """The paper's Table 2 (errors and selection) or Table 3 (run times) of a study.
-
-    JSON is an object with "version", "config", "rows" and "failures"; CSV has one row per row of the JSON.
-    """
+    """The paper's Table 2 (errors and selection) or 3 (run times) of a study; CSV has the rows of the JSON."""
     failures = failure_messages(store.results())
     rows = aggregate(store.results(), store.planned())
     shown = rows if table == 2 else runtimes(rows, int(store.config.get("chains", 1)))

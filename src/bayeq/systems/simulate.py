@@ -264,10 +264,8 @@ def _positive(what: str, value: float) -> float:
 def band_limited_noise(force: BandLimitedForce, n: int, fs: float, rng: np.random.Generator) -> Floats:
     """(n,) samples of Gaussian noise with a flat spectrum inside a band, made in the frequency domain; fs in Hz.
 
-    Zero mean and the given standard deviation in expectation. Periodic, unless n is so short that fewer than 20
-    spectral lines lie in the band: then a piece of a longer sequence.
-
-    InputError: if no frequency below ``fs/2`` lies in the band.
+    Zero mean and the given standard deviation in expectation; periodic, unless fewer than 20 spectral lines lie in the
+    band. InputError if no frequency below ``fs/2`` does.
     """
     lo, hi = force.band
     if not 0.0 <= lo < min(hi, fs / 2):
@@ -287,10 +285,7 @@ def band_limited_noise(force: BandLimitedForce, n: int, fs: float, rng: np.rando
 
 
 def _few_periods(std: float, lo: float, hi: float, n: int, rng: np.random.Generator) -> Floats:
-    """A piece of band-limited noise so short that its own spectral lines are few; band in cycles per sample.
-
-    The lines of a longer record, summed where needed.
-    """
+    """As `band_limited_noise`, of few lines: those of a longer record, summed; the band in cycles per sample."""
     frequency = lo + (hi - lo) * np.arange(1, _LINES + 1) / _LINES
     phase = 2 * np.pi * np.outer(np.arange(n), frequency)
     amplitudes = std / math.sqrt(_LINES) * rng.standard_normal((2, _LINES))

@@ -26,10 +26,7 @@ Sheet = tuple[str, Iterable[Iterable[Any]]]
 
 
 def read_columns(path: Path, *, names: Names = None, chosen: Select | None = None, sheet: str | None = None) -> Columns:
-    """Read a sheet, by default the one with most rows of numbers, as text is read: preamble, header, units, gaps.
-
-    Of a formula the value that Excel saved is read.
-    """
+    """Read a sheet, by default that with most rows of numbers, as text is read; of formulas the saved values."""
     where = str(path)
     titles: dict[str, int] = {}  # and how many rows of numbers each has
     with tempfile.TemporaryDirectory() as folder, reading(where, "Excel file"):

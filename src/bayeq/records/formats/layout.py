@@ -1,7 +1,4 @@
-"""How a delimited text file is laid out: encoding, delimiter, preamble, header, units, where the data begin.
-
-And its cells: how lines are split, which cells are numbers, names, units or time stamps.
-"""
+"""How a delimited text file is laid out: encoding, delimiter, preamble, header, units, where the data begin; cells."""
 
 from __future__ import annotations
 
@@ -109,10 +106,7 @@ def _sample(path: Path, encoding: str, where: str, skip: int) -> tuple[list[tupl
 
 
 def sniff(path: Path, encoding: str, where: str = "", skip: int = 0) -> Layout:
-    """Find the layout from the first lines below `skip`.
-
-    A FileFormatError says that the file is empty, has no rows, or a header that does not fit its rows.
-    """
+    """Find the layout from the first lines below `skip`; FileFormatError for no rows, or a header that does not fit."""
     where = where or str(path)
     lines, comments = _sample(path, encoding, where, skip)
     if not lines and skip:
@@ -211,10 +205,7 @@ class Table(NamedTuple):
 
 
 def find_table(rows: Sequence[str]) -> Table | None:
-    """The table below a preamble; None where there is none, or where lines above look like damaged data.
-
-    `rows` are the first lines of the file, without blank lines and comments.
-    """
+    """The table below a preamble, of the first lines that are no comments; None without one, or below damaged data."""
     if len(rows) < _ROWS:
         return None
     delimiter = delimiter_of(rows[-max(1, len(rows) // 2) :])
@@ -403,7 +394,7 @@ def words(line: str, delimiter: str | None, width: int) -> list[str]:
 
 
 def bracketed_words(line: str) -> list[str]:
-    """The words of a line; a unit in brackets belongs to the word before it."""
+    """The words of a line, with units in brackets behind them."""
     return [word.strip("\"'") for word in _WORD.findall(line)]
 
 

@@ -50,10 +50,7 @@ class Writer(Protocol):
 
 @dataclass(frozen=True)
 class FileRows:
-    """The rows of a file, of which some are read at a time; small, and can be sent to other processes.
-
-    `request` says which arrays they are, where the file holds many.
-    """
+    """Rows of a file, some read at a time, also in other processes; of many arrays `request` says which."""
 
     path: Path
     request: Request = field(default_factory=Request)

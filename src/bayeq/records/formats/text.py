@@ -160,7 +160,6 @@ class _Lines:
         return data[:last] if last else data
 
     def _row(self, line: str, number: int) -> tuple[list[str], list[float]]:
-        """Cells of a line, and their numbers."""
         layout, mark = self.layout, self.layout.delimiter
         plain = mark is not None and '"' not in line
         cells = line.rstrip("\n").split(mark) if plain else split(line, mark)  # float() strips
@@ -270,10 +269,7 @@ class _Lines:
 
 
 def write(record: Record, path: Path) -> None:
-    """Write a record as text: a header such as ``t,x [m],v``, and numbers that read back bit by bit.
-
-    Tabs separate the cells of a ``.tsv``, commas those of others.
-    """
+    """Write a record as text: a header such as ``t,x [m],v``, and numbers that read back bit by bit."""
     columns = record.to_columns()
     mark = "\t" if path.suffix.lower() == ".tsv" else ","
     units = columns.headers.stated_units()
@@ -294,7 +290,6 @@ class TextRows(FileRows):
 
     @cached_property
     def layout(self) -> Layout:
-        """How the file is laid out."""
         if encodings(self.path) in ((), ("utf-16",)):
             raise FileFormatError(
                 f"{self.path}: not a text file of single-byte characters; write UTF-8, or a Parquet file"
@@ -309,15 +304,11 @@ class TextRows(FileRows):
 
     @cached_property
     def headers(self) -> Headers:
-        """Names of the columns."""
         return _named(self.layout, str(self.path))[0]
 
     @cached_property
     def index(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """First rows of units, and the number of rows; the byte at which each begins, and that at the end.
-
-        Lines that are empty count for nothing.
-        """
+        """First rows of units, and the number of rows that are not empty; the bytes at which they begin and end."""
         bounds, places, row = [0], [], 0
         with self.path.open("rb") as file:
             for _ in range(self.layout.skip):
@@ -339,11 +330,9 @@ class TextRows(FileRows):
 
     @property
     def bounds(self) -> tuple[int, ...]:
-        """Units of equal length."""
         return self.index[0]
 
     def read(self, start: int, stop: int, request: Request) -> Columns:
-        """Rows `start` to `stop`."""
         bounds, places = self.index
         first = int(np.searchsorted(bounds, start, side="right")) - 1
         last = int(np.searchsorted(bounds, stop, side="left"))

@@ -22,7 +22,6 @@ _AXES = {0: "", 1: "x", 2: "y", 3: "z", 4: "rx", 5: "ry", 6: "rz"}
 
 
 def is_uff(path: Path, head: bytes) -> bool:
-    """Whether a file begins as universal files do."""
     return _BEGIN.match(head) is not None
 
 
