@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -83,28 +83,11 @@ def refresh(*changed: str) -> None:
 def file_step(session: Session) -> None:
     """Choose a file, and see what is in it."""
 
-    async def kept(event: Any) -> Path | None:
-        try:
-            path = session.workspace.new_folder() / safe_name(event.file.name)
-            await event.file.save(path)
-        except OSError as error:
-            refused(f"the file cannot be kept in the folder for temporary files: {error.strerror or error}")
-            return None
-        return path
+    async def opened(path: Path) -> None:
+        await session.open(path, path.name)
 
-    async def dropped(event: Any) -> None:
-        path = await kept(event)
-        if path is not None:
-            await session.open(path, path.name)
-
-    async def added(event: Any) -> None:
-        path = await kept(event)
-        if path is not None:
-            session.further.append(path)
-            refresh("file")
-
-    def refused(words: str) -> None:
-        session.file_error = words
+    async def added(path: Path) -> None:
+        session.further.append(path)
         refresh("file")
 
     if session.busy == LOOKING:
@@ -115,7 +98,7 @@ def file_step(session: Session) -> None:
             stop_button(session)
     else:
         words = f"Drop a measured file here, up to {SIZE}: {FORMATS}."
-        _upload(dropped, refused, words=words, label="Choose a file", look="unelevated")
+        _upload(session, opened, words=words, label="Choose a file", look="unelevated")
     if session.file_error:
         message(session.file_error, "error")
         text(
@@ -141,11 +124,25 @@ def file_step(session: Session) -> None:
                     text(path.name, tag="span")
                     ui.button("Leave out", on_click=partial(session.drop, path)).props("no-caps flat dense")
             words = "Add a record of the same channels: another run, of which the same equation is expected."
-            _upload(added, refused, words=words, label="Add a record", look="outline")
+            _upload(session, added, words=words, label="Add a record", look="outline")
 
 
-def _upload(arrived: Callable[[Any], Any], refused: Callable[[str], None], **said: str) -> None:
-    """A box that files are dropped into."""
+def _upload(session: Session, use: Callable[[Path], Awaitable[None]], **said: str) -> None:
+    """A box that files are dropped into, each of which is kept and then used."""
+
+    def refused(words: str) -> None:
+        session.file_error = words
+        refresh("file")
+
+    async def arrived(event: Any) -> None:
+        try:
+            path = session.workspace.new_folder() / safe_name(event.file.name)
+            await event.file.save(path)
+        except OSError as error:
+            refused(f"the file cannot be kept in the folder for temporary files: {error.strerror or error}")
+        else:
+            await use(path)
+
     upload = ui.upload(
         on_upload=arrived,
         on_rejected=lambda: refused(f"the file is larger than {SIZE}: open it where it is, by bayeq app FILE"),

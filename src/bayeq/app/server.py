@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hmac
 import logging
+import os
 import secrets
 import signal
 import socket
@@ -17,7 +18,7 @@ from typing import Any
 from bayeq.app.choices import EQUATION, REPORT
 from bayeq.app.session import LARGEST, Session, Workspace
 from bayeq.errors import InputError, needing
-from bayeq.resumable.posix import POSIX, on_signal
+from bayeq.resumable.posix import on_signal
 
 # Of an upload, beside the file [bytes].
 AROUND = 100_000
@@ -184,14 +185,10 @@ def _run(
 
 
 def _listening(port: int) -> socket.socket:
-    made = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    if POSIX:  # a port that has just been left can be used again
-        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    if not 0 <= port <= 65535:
+        raise InputError(f"--port {port}: a port is a number from 0 to 65535; leave it out for a free one")
     try:
-        made.bind((HOST, port))
-    except (OSError, OverflowError) as error:
-        made.close()
-        why = getattr(error, "strerror", None) or "a port is a number from 0 to 65535"
+        return socket.create_server((HOST, port))
+    except OSError as error:
+        why = os.strerror(error.errno or 0)
         raise InputError(f"--port {port}: {why}; leave it out for a free one") from None
-    made.listen()
-    return made

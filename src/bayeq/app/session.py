@@ -65,14 +65,10 @@ class Workspace:
         _remove_abandoned()
         # resolved, as messages of commands that are run in it have no other name for it
         self.path = Path(tempfile.mkdtemp(prefix=f"{_PREFIX}{os.getpid()}-")).resolve()  # mkdtemp makes it private
-        self._count = 0
 
     def new_folder(self) -> Path:
         """An empty folder in it, for a file or a result."""
-        self._count += 1
-        folder = self.path / str(self._count)
-        folder.mkdir(mode=0o700)
-        return folder
+        return Path(tempfile.mkdtemp(dir=self.path))
 
     def remove(self, folder: Path | None = None) -> None:
         """Remove a folder in it, or all of it; ValueError for a folder that is not in it."""

@@ -158,8 +158,13 @@ class Reading:
             progress("reading", k, len(files))
             with _opened(file) as path:
                 parts.append(self._read(path, wanted, paths))
-        self._require_units_used(parts)
-        records = _join(parts) if self.join else [record for part in parts for record in part]
+        records = [record for part in parts for record in part]
+        if self.join:
+            known = sorted({name for record in records for name in record.names})
+            for name in self.units:  # of a channel that none of the files has
+                if opt.channel_name(name) not in known and name not in ("t", self.time):
+                    raise UnknownNameError("channel", name, known, "--units")
+            records = _join(parts)
         return with_row_numbers([self._altered(record) for record in records])
 
     def _altered(self, record: Record) -> Record:
@@ -197,15 +202,6 @@ class Reading:
                 for name in filter(is_time_name, record.names):
                     _require_rate(record, name)
         return records
-
-    def _require_units_used(self, parts: Sequence[Sequence[Record]]) -> None:
-        """Refuse a unit of a channel that none of the files that are joined has."""
-        if not self.join:
-            return
-        known = sorted({name for part in parts for record in part for name in record.names})
-        for name in self.units:
-            if opt.channel_name(name) not in known and name not in ("t", self.time):
-                raise UnknownNameError("channel", name, known, "--units")
 
 
 def _units(texts: Sequence[str], scales: Sequence[str]) -> dict[str, str]:

@@ -100,10 +100,7 @@ class Guess:
     questions: tuple[str, ...] = ()  # what the file leaves open, a sentence each
 
     def driven_by(self, shares: Mapping[str, float], alike: Alike) -> Guess:
-        """The same with channels that were undecided as inputs, for the share of the motion that each explains.
-
-        Of those that move alike one is the input, if it explains clearly more, or else it is a question which.
-        """
+        """The same with undecided channels as inputs, by the share of the motion that each explains."""
         reasons, questions = dict(self.reasons), list(self.questions)
         for name, share in shares.items():
             rivals = [

@@ -202,10 +202,7 @@ LONG_RUN = 10
 
 
 def find_bad(records: Sequence[Record], guess: Guess, names: Sequence[str]) -> tuple[Bad, int]:
-    """Bad samples of channels that move, and how many rows were searched for spikes and stuck stretches.
-
-    The records are experiments of one file; channels of a chain are judged together, all others alone.
-    """
+    """Bad samples of channels that move in a file's experiments, and how many rows were searched beside clipping."""
     found: Bad = {}
     total = sum(record.n for record in records)
     motion = {name for chain in guess.chains for name in chain}

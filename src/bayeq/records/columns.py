@@ -11,7 +11,6 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayeq.arrays import Floats
 from bayeq.errors import DataWarning, FileFormatError, InputError, RecordError, UnknownNameError, WordsError, some_of
@@ -349,7 +348,10 @@ def assemble(
             kept = kept[:-1]
         again = check_time(seconds[: len(kept)], where_time, np.asarray(starts, dtype=np.intp), repeated=True)
         if again.size:
-            _warn_of_repeated(again, where_time)
+            rows = ", ".join(str(row + 1) for row in again[:2]) + (", ..." if len(again) > 2 else "")
+            counted = f"{len(again)} rows repeat times" if len(again) > 1 else "1 row repeats the time"
+            message = f"{where_time}: {counted} of the row before ({rows}): the first is kept; check the logger"
+            warnings.warn(message, DataWarning, stacklevel=3)
             kept = np.delete(kept, again)
         if len(kept) < n:
             seconds, data = seconds[kept], replace(data, values=[one[kept] for one in values])
@@ -368,13 +370,13 @@ def assemble(
     label = where if name is None else name
     trials: list[dict[str, Any]] = []
     for trial, (start, stop) in enumerate(pairwise([*starts, n])):
-        rows = {column: samples[start:stop] for column, samples in channels.items()}
+        parts = {column: samples[start:stop] for column, samples in channels.items()}
         t = None if seconds is None else seconds[start:stop]
         if t is None and fs is None and step is not None:
             t = data.start + step * np.arange(stop - start, dtype=np.float64)
         title = label if group is None else f"{label} [trial {trial}]"
         about = {"units": kept_units, "name": title, "begins": begins}
-        trials.append({"channels": rows, "time": time_from(rows, t, fs, where), **about})
+        trials.append({"channels": parts, "time": time_from(parts, t, fs, where), **about})
     return trials
 
 
@@ -443,10 +445,3 @@ def _clock(raw: Floats, seconds: Floats) -> float | None:
 
 def _place(data: Columns, column: int) -> str:
     return f"{data.headers.where}, column {data.headers.texts[column] or data.names[column]!r}"
-
-
-def _warn_of_repeated(rows: NDArray[np.intp], where: str) -> None:
-    listed = ", ".join(str(row + 1) for row in rows[:2]) + (", ..." if len(rows) > 2 else "")
-    counted = f"{len(rows)} rows repeat times" if len(rows) > 1 else "1 row repeats the time"
-    message = f"{where}: {counted} of the row before ({listed}): the first is kept; check the logger"
-    warnings.warn(message, DataWarning, stacklevel=4)

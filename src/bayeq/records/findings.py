@@ -282,15 +282,12 @@ def _odd_ones(
 
 def _signs(measured: Sequence[tuple[int, str]], links: Sequence[Relation]) -> list[Finding]:
     signs = np.cumprod([1, *(link.sign for link in links)])
-    return [
-        Finding(
-            "sign",
-            odd.channels,
-            f"{odd.channels[0]} has the opposite sign of {odd.against}: reverse it (--scale {odd.channels[0]}=-1)",
-            -1.0,
-        )
-        for odd in _odd_ones(measured, np.diff(signs).tolist(), [0.0] * len(links), 0.0)
-    ]
+    found = []
+    for odd in _odd_ones(measured, np.diff(signs).tolist(), [0.0] * len(links), 0.0):
+        name = odd.channels[0]
+        message = f"{name} has the opposite sign of {odd.against}: reverse it (--scale {name}=-1)"
+        found.append(Finding("sign", odd.channels, message, -1.0))
+    return found
 
 
 def _gains(record: Record, measured: Sequence[tuple[int, str]], links: Sequence[Relation]) -> list[Finding]:
@@ -349,11 +346,7 @@ def _delays(measured: Sequence[tuple[int, str]], links: Sequence[Relation], dt: 
 
 
 def _shifts(record: Record, p: str, q: str, order: int, link: Relation, frames: Frames) -> list[Finding]:
-    """Offset and drift of a channel against the derivative of the one below it.
-
-    The gain is the stated one if the measured one may be that: in an angle of many turns the noise of a measured gain
-    would be an offset.
-    """
+    """Offset and drift against the derivative of the channel below, by the stated gain if it may be, without noise."""
     assert record.time is not None
     stated = stated_gain(record, p, q, order) or 1.0
     if abs(math.log(link.gain / stated)) <= max(math.log(RECORDS.least_gain), _undecided(link)):
@@ -539,10 +532,7 @@ def _repeated(name: str, values: Floats, shut: bool) -> list[Finding]:
 
 
 def _interpolated(record: Record, name: str) -> list[Finding]:
-    """A channel that is straight between samples that lie evenly.
-
-    Of a channel of levels second differences are none by chance, in no order; those of a triangle are all the same.
-    """
+    """A channel that is straight between samples that lie evenly, and bends there unlike a triangle."""
     values = record[name]
     bends = np.diff(values, 2)
     largest = float(np.abs(bends).max())

@@ -122,10 +122,7 @@ class FileStream:
 
 
 def files_in(paths: Sequence[str | os.PathLike[str]], known: Collection[str], what: str) -> list[Path]:
-    """Files, and those of each folder with a `known` suffix, in the order of the numbers in their names.
-
-    A FileFormatError names a folder that has none; `what` says for what it was looked through.
-    """
+    """Files, and those of each folder with a `known` suffix in order of their numbers, or a FileFormatError."""
     out: list[Path] = []
     for one in map(Path, paths):
         if not one.is_dir():

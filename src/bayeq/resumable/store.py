@@ -307,10 +307,7 @@ def fill(
 def compute(
     work: Callable[[Task], Answer], tasks: Iterable[Task], jobs: int, store: Path
 ) -> Generator[Answer, None, None]:
-    """The answer to each task, as it is ready; tasks are asked for as workers are free.
-
-    With one job all is done in this process. BayeqError where a worker was killed, which names the store.
-    """
+    """The answer to each task, as it is ready; with one job in this process. BayeqError where a worker was killed."""
     if jobs == 1:
         for task in tasks:
             yield work(task)

@@ -119,11 +119,7 @@ def confidence_ellipse(mean: ArrayLike, covariance: ArrayLike, level: float = 0.
 
 
 def joint_posterior(comparison: Comparison) -> JointPosterior:
-    """The triangle of Fig. 5: the coefficients of the true terms, in original units.
-
-    Draws in which a coefficient is out of the model are in no pair of that coefficient. Large values are
-    divided by a power of ten, which the label names.
-    """
+    """The triangle of Fig. 5: the coefficients of the true terms, large ones divided by a power of ten."""
     system, vb, draws = comparison.system, comparison.vb, comparison.mcmc.draws
     assert draws is not None
     true = np.flatnonzero(comparison.truth)
@@ -173,15 +169,10 @@ def _limits(draws: Floats, k: int, truth: float, ellipses: Mapping[tuple[int, in
 def _label(system: System, target: str, term: str, coefficient: str, scale: float) -> str:
     """Term, coefficient in physical parameters, and its unit."""
     power = rf"$10^{{{round(math.log10(scale))}}}$ " if scale != 1.0 else ""
-    unit = f"{power}{_unit(system, target, term)}".strip()
-    return f"{mathtext(term, order=system.states)}:  {mathtext(coefficient)}\n[{unit or '1'}]"
-
-
-def _unit(system: System, target: str, term: str) -> str:
-    """Unit of a term's coefficient: of the target over that of the term, in SI base units."""
-    powers = parse_unit(quotient_unit(target, parse(term), system.units) or "")
+    powers = parse_unit(quotient_unit(target, parse(term), system.units) or "")  # in SI base units
     multiply_units(powers, {"kg": Fraction(1), "m": Fraction(1), "s": Fraction(-2)}, powers.pop("N", 0))
-    return " ".join(name if power == 1 else f"{name}$^{{{power}}}$" for name, power in sorted(powers.items()))
+    unit = power + " ".join(name if p == 1 else f"{name}$^{{{p}}}$" for name, p in sorted(powers.items()))
+    return f"{mathtext(term, order=system.states)}:  {mathtext(coefficient)}\n[{unit.strip() or '1'}]"
 
 
 def draw_inclusion(panels: Sequence[Comparison]) -> Figure:

@@ -257,10 +257,7 @@ class Result:
 
 
 def prediction_error(test: Gram, estimate: Floats) -> float:
-    """e_p = ||y* - D* theta_hat|| / ||y*||, with the test dictionary unscaled, uncentred and without intercept.
-
-    By algebra on the test Gram: an uncentred moment is the centred one plus n times the product of the means.
-    """
+    """e_p = ||y* - D* theta_hat|| / ||y*|| of uncentred test rows: centred moments plus n times products of means."""
     squares = test.yty + test.n * test.target_mean**2
     return math.sqrt(test.squared_error(estimate, intercept=0.0) / squares)
 

@@ -98,10 +98,7 @@ MOST_COLUMNS = 16_384
 
 
 def check_claim(where: str, what: str, claimed: int, stored: int) -> None:
-    """Refuse what claims to unpack to more than 4 GiB, or to more than 64 MiB and 100 times what the file holds.
-
-    `where` and `what`, the file and the part of it, are for the message; sizes are in bytes.
-    """
+    """Refuse what takes more than 4 GiB, or more than 64 MiB and 100 times what the file holds; sizes are in bytes."""
     if claimed > MOST_BYTES:
         raise FileFormatError(f"{where}: {what} takes {in_words(claimed)}; at most {in_words(MOST_BYTES)} are read")
     if claimed > max(SMALL_BYTES, MOST_RATIO * stored):
