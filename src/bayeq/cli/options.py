@@ -18,6 +18,9 @@ from bayeq.kernels import announce_compiling
 # The group of options that say what is written.
 WRITTEN = "What to write"
 
+# The end of the help of options that write either.
+TABLE_OR_FIGURE = ": a table (.csv) or a figure (.png, .svg, .pdf)."
+
 #: What adds an option to the function of a command.
 Decorator = Callable[[Any], Any]
 

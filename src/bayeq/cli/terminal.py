@@ -9,12 +9,12 @@ import sys
 import threading
 import time as clock
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, fields
 from functools import partial
 from io import TextIOWrapper
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
@@ -104,7 +104,7 @@ INTERVAL = 10.0
 MANY = 1000
 
 
-class Progress:
+class Progress(AbstractContextManager["Progress"]):
     """What is being done, called with (stage, done, total) and watched by a thread; `verbose` names each stage."""
 
     def __init__(self, verbose: bool = False) -> None:
@@ -114,13 +114,9 @@ class Progress:
         self.began = self.said = clock.monotonic()
         self.named = ""  # the stage that was named last
         self.bar: Any = None
-        self.task: Any = None
         self.stop = threading.Event()
         self.lock = threading.Lock()
         self.watch: threading.Thread | None = None
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
@@ -138,7 +134,7 @@ class Progress:
                     say(f"bayeq: {stage} ...")
             self.done, self.total = done, total
             if self.bar is not None:
-                self.bar.update(self.task, description=self._described(), completed=done, total=total)
+                self.bar.update(self.bar.task_ids[0], description=self._described(), completed=done, total=total)
 
     def close(self) -> None:
         """Take the bar away, and be silent until the next call."""
@@ -169,35 +165,27 @@ class Progress:
         now = clock.monotonic()
         if _is_terminal() and not self.verbose:
             if self.bar is None:
-                self._open_bar()
+                from rich.console import Console
+                from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+                from rich.progress import Progress as Bar
+
+                columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+                self.bar = Bar(*columns, console=Console(stderr=True), transient=True)
+                self.bar.start()
+                self.bar.add_task(self._described(), completed=self.done, total=self.total)
         elif self.stage != self.named or now - self.said >= INTERVAL:
             if self.stage == self.named or not self.verbose:  # which has named it when it began
-                left = self._left(now) if self.total > 1 else ""
-                spent = f", {now - self.began:.0f} s" if now - self.began >= 1.0 else ""
-                say(f"{PROGRESS}{self._described()}{left}{spent}")
+                done, spent, left = self.done - self.first, now - self.began, ""
+                if self.total > 1 and done > 0 and spent > 0.0:
+                    rate = f"{done / spent:,.0f} a second, " if self.total >= MANY else ""
+                    left = f" ({rate}{(self.total - self.done) * spent / done:.0f} s left)"
+                since = f", {spent:.0f} s" if spent >= 1.0 else ""
+                say(f"{PROGRESS}{self._described()}{left}{since}")
             self.said, self.named = now, self.stage
 
     def _described(self) -> str:
         count = f", {self.done:,} of {self.total:,}" if self.total > 1 else ""
         return STAGES.get(self.stage, self.stage) + count
-
-    def _left(self, now: float) -> str:
-        """The rate, of rows, and the time that is left."""
-        done, spent = self.done - self.first, now - self.began
-        if done <= 0 or spent <= 0.0:
-            return ""
-        rate = f"{done / spent:,.0f} a second, " if self.total >= MANY else ""
-        return f" ({rate}{(self.total - self.done) * spent / done:.0f} s left)"
-
-    def _open_bar(self) -> None:
-        from rich.console import Console
-        from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-        from rich.progress import Progress as Bar
-
-        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-        self.bar = Bar(*columns, console=Console(stderr=True), transient=True)
-        self.bar.start()
-        self.task = self.bar.add_task(self._described(), completed=self.done, total=self.total)
 
 
 def _is_terminal() -> bool:

@@ -185,20 +185,15 @@ class RecordInfo:
         }
 
     def _channel(self, channel: ChannelInfo) -> dict[str, Any]:
-        def known(value: float) -> float | None:
-            return value if math.isfinite(value) else None
-
         found = channel.spectrum
+        numbers = {"min": channel.least, "max": channel.greatest, "mean": channel.mean, "sd": channel.sd}
         return {
             "name": channel.name,
             "unit": channel.unit or None,
             "role": self.guess.role_of(channel.name) or None,
             "why": self.guess.reasons.get(channel.name),
             "missing": channel.missing,
-            "min": known(channel.least),
-            "max": known(channel.greatest),
-            "mean": known(channel.mean),
-            "sd": known(channel.sd),
+            **{key: value if math.isfinite(value) else None for key, value in numbers.items()},
             "constant": channel.constant,
             "resolution": channel.resolution,
             "held": channel.held,

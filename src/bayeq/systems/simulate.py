@@ -92,7 +92,10 @@ def simulate(
 
         system = get_system(system)
     require_kind(system, System, "system", "the name of a system, or a System")
-    fs = _positive("fs", system.fs if fs is None else fs)
+    rate = system.fs if fs is None else fs
+    fs = _finite("fs", rate)
+    if not 1e-12 <= fs <= 1e12:
+        raise InputError(f"fs must {'be positive' if fs <= 0 else 'lie between 1e-12 and 1e12'}, not {rate!r}")
     parameter_stream, force_stream, *noise_streams = _streams(seed, 2 + len(system.channels))
     values = _parameters(system, parameters, perturb, parameter_stream)
     ratios = _ratios(system, noise)
@@ -249,15 +252,6 @@ def _finite(what: str, value: float) -> float:
         raise InputError(f"{what} must be a number, not {str(value)[:40]!r}") from None
     if not math.isfinite(number):
         raise InputError(f"{what} must be finite, not {value!r}")
-    return number
-
-
-def _positive(what: str, value: float) -> float:
-    number = _finite(what, value)
-    if number <= 0:
-        raise InputError(f"{what} must be positive, not {value!r}")
-    if not 1e-12 <= number <= 1e12:
-        raise InputError(f"{what} must lie between 1e-12 and 1e12, not {value!r}")
     return number
 
 

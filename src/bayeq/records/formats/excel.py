@@ -8,7 +8,7 @@ import tempfile
 import zipfile
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from datetime import date, datetime, time, timedelta
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
@@ -130,6 +130,4 @@ def _cell(value: Any) -> str:
         return repr(float(value))
     if isinstance(value, timedelta):
         return repr(value.total_seconds())
-    if isinstance(value, (datetime, date, time)):
-        return value.isoformat(" ") if isinstance(value, datetime) else value.isoformat()
     return " ".join(str(value).replace('"', "").split())

@@ -417,7 +417,7 @@ def unquoted(line: str) -> str:
 def is_number(cell: str) -> bool:
     """Whether a cell is a finite number, perhaps with a decimal comma or an exponent of Fortran's."""
     try:
-        float(_with_e(cell))
+        float(cell.lower().replace("d", "e"))
     except ValueError:
         return bool(_COMMA_NUMBER.fullmatch(cell))
     return cell.strip("+-").lower() not in ("nan", "inf", "infinity")
@@ -431,11 +431,7 @@ def number_of(cell: str) -> float:
     >>> number_of("1,5"), number_of("2.0d-3")
     (1.5, 0.002)
     """
-    return float(_with_e(cell).replace(",", "."))
-
-
-def _with_e(cell: str) -> str:
-    return cell.replace("D", "E").replace("d", "e")
+    return float(cell.lower().replace("d", "e").replace(",", "."))
 
 
 def is_words(cells: list[str]) -> bool:
