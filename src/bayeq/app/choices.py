@@ -149,25 +149,14 @@ class Choices:
 
 def discover_command(files: Sequence[str], choices: Choices) -> list[str]:
     """The command that finds the equations and writes `EQUATION` and `REPORT`; InputError for roles without a chain."""
-    words = ["discover", *files, *choices.words]
-    for chain in chains_of(choices.roles):
-        words += ["--chain", chain]
+    chosen = [("--chain", chain) for chain in chains_of(choices.roles)]
+    chosen += [("--input", name) for name, choice in choices.roles.items() if choice.role == INPUT]
     for name, choice in choices.roles.items():
-        if choice.role == INPUT:
-            words += ["--input", name]
-    for name, choice in choices.roles.items():
-        if choice.unit.strip():
-            words += ["--units", f"{name}={choice.unit.strip()}"]
-        if choice.offset.strip():
-            words += ["--remove-offset", name if choice.offset.strip() == MEAN else f"{name}={choice.offset.strip()}"]
-    for option, text in (
-        ("--fs", choices.fs),
-        ("--dictionary", choices.dictionary),
-        ("--rows", choices.rows),
-        ("--band", choices.band),
-    ):
-        if text.strip():
-            words += [option, text.strip()]
-    for line in filter(None, map(str.strip, choices.constraints.splitlines())):
-        words += ["--constraint", line]
-    return [*words, "--save", EQUATION, "--report", REPORT]
+        unit, offset = choice.unit.strip(), choice.offset.strip()
+        chosen += [("--units", f"{name}={unit}")] if unit else []
+        chosen += [("--remove-offset", name if offset == MEAN else f"{name}={offset}")] if offset else []
+    chosen += [("--fs", choices.fs), ("--dictionary", choices.dictionary)]
+    chosen += [("--rows", choices.rows), ("--band", choices.band)]
+    chosen += [("--constraint", line) for line in choices.constraints.splitlines()]
+    words = [word for option, text in chosen if text.strip() for word in (option, text.strip())]
+    return ["discover", *files, *choices.words, *words, "--save", EQUATION, "--report", REPORT]

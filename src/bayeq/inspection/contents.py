@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 import textwrap
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -250,15 +250,13 @@ def title(found: RecordInfo) -> str:
     return f"{name}{rows} {rate}, {duration}{several}; {channels}"
 
 
-def _sections(found: RecordInfo) -> list[tuple[str, Sequence[str]]]:
-    out: list[tuple[str, Sequence[str]]] = []
+def _sections(found: RecordInfo) -> Iterator[tuple[str, Sequence[str]]]:
     if found.guess.reasons:
         roles = ((name, found.guess.role_of(name), found.guess.reasons.get(name)) for name in found.channels)
         why = [f"{shortened(name, SIZES[0][1])}: {role} ({reason})" for name, role, reason in roles if role and reason]
-        out.append(("why", why))
+        yield "why", why
     if found.findings:
-        out.append(("noticed", found.findings))
-    return out
+        yield "noticed", found.findings
 
 
 def _row(found: RecordInfo, channel: ChannelInfo, plain: bool, digits: int, longest: int) -> tuple[str, ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -156,20 +156,16 @@ def _trial_column(record: Record, restarts: Ints, clock: Floats | None, others: 
     return None
 
 
-def gaps_of(records: Sequence[Record]) -> list[Gap]:
+def gaps_of(records: Sequence[Record]) -> Iterator[Gap]:
     """Steps of time of more than 2.5 usual ones, in all records; rows are counted over all of them."""
-    out: list[Gap] = []
     first = 0
     for record in records:
         if record.time is not None and record.n > 2:
             steps = np.diff(record.time)
             usual = float(np.median(steps))
-            out += [
-                Gap(first + int(row) + 1, float(steps[row]), bool(steps[row] > LONG_GAP * usual))
-                for row in np.flatnonzero(steps > GAP * usual)
-            ]
+            for row in np.flatnonzero(steps > GAP * usual).tolist():
+                yield Gap(first + row + 1, float(steps[row]), bool(steps[row] > LONG_GAP * usual))
         first += record.n
-    return out
 
 
 def starts_from_rest(record: Record, names: Sequence[str], period: float) -> list[int]:

@@ -305,10 +305,8 @@ def near_files(path: Path) -> str:
 
 def as_records(source: Any, t: Any = None) -> list[Record]:
     """One record or several, of what `as_record` takes or a sequence of such; `t` is one for all."""
-    if isinstance(source, Sequence) and not isinstance(source, (str, bytes)) and not _is_data(source):
-        records = [as_record(one, t) for one in source]
-    else:
-        records = [as_record(source, t)]
+    several = isinstance(source, Sequence) and not isinstance(source, (str, bytes)) and not _is_data(source)
+    records = [as_record(one, t) for one in (source if several else [source])]
     if not records:
         raise InputError("no Record is given")
     return records

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -34,7 +34,7 @@ def channels(path: Path) -> list[Channel]:
         stop = len(lines)
         if several:
             stop = next((i for i in range(place + 1, len(lines)) if not lines[i].strip()), len(lines))
-        segments.append(_segment(lines[:stop], place, {**header, **about}, mark, several, where))
+        segments.append([*_segment(lines[:stop], place, {**header, **about}, mark, several, where)])
         place = stop
     if not segments:
         raise FileFormatError(f"{where}: a header but no samples")
@@ -65,19 +65,18 @@ def _header(lines: Sequence[str], place: int, where: str, mark: str) -> tuple[di
 
 def _segment(
     lines: Sequence[str], place: int, about: dict[str, list[str]], mark: str, several: bool, where: str
-) -> list[Channel]:
+) -> Iterator[Channel]:
     """The channels of the rows from the line of names to the last."""
     if place >= len(lines):
         raise FileFormatError(f"{where}: a header but no samples")
     names = [name.strip() for name in lines[place].split(mark)]
     rows = [line.split(mark) for line in lines[place + 1 :] if several or line.strip()]
     ys = [i for i, name in enumerate(names) if name and name not in (_X, "Comment")]
-    found: list[Channel] = []
     comma = about.get("Decimal_Separator", ["."])[0] == ","
     if names[0] == _X and about.get("X_Columns", ["One"])[0].casefold() == "one":
         times = _column(rows, 0, len(rows), place + 2, _X, comma, where)
         if np.isfinite(times).all() and len(times):
-            found.append(Channel("t", len(times), times.__getitem__, unit="s"))
+            yield Channel("t", len(times), times.__getitem__, unit="s")
     for k, column in enumerate(ys):
         size = int(_number(about.get("Samples"), k, len(rows), where))
         if size > len(rows):
@@ -87,17 +86,14 @@ def _segment(
         values = _column(rows, column, size, place + 2, names[column], comma, where)
         label = (about.get("Y_Unit_Label", [])[k : k + 1] or [""])[0]
         step = _number(about.get("Delta_X"), k, np.nan, where)
-        found.append(
-            Channel(
-                names[column],
-                size,
-                values.__getitem__,
-                unit=unit_cell(label) or label or None,
-                step=step if np.isfinite(step) and step > 0 else None,
-                start=_number(about.get("X0"), k, 0.0, where),
-            )
+        yield Channel(
+            names[column],
+            size,
+            values.__getitem__,
+            unit=unit_cell(label) or label or None,
+            step=step if np.isfinite(step) and step > 0 else None,
+            start=_number(about.get("X0"), k, 0.0, where),
         )
-    return found
 
 
 def _number(values: Sequence[str] | None, k: int, otherwise: float, where: str) -> float:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -59,11 +60,9 @@ def channels_of(tree: Any, where: str) -> list[Channel]:
     Beside an array, text called unit or units is its unit, text called name the name of a single one, and a number
     called dt, Ts, fs ... the step of time. Too many arrays or levels are refused.
     """
-    found: list[Channel] = []
-    for channel in _walk(tree, "", {}, where, 0):
-        found.append(channel)
-        if len(found) > MOST_ARRAYS:
-            raise FileFormatError(f"{where}: more than {MOST_ARRAYS} arrays; that is no record")
+    found = list(islice(_walk(tree, "", {}, where, 0), MOST_ARRAYS + 1))
+    if len(found) > MOST_ARRAYS:
+        raise FileFormatError(f"{where}: more than {MOST_ARRAYS} arrays; that is no record")
     return found
 
 
