@@ -21,8 +21,8 @@ from bayeq.records.consistency import Frames, Relation, derivative_name, relate,
 from bayeq.records.findings import stated_gain
 from bayeq.records.record import with_samples
 
-# Channels are compared on at most this many rows, the middle ones, of a faster record after block means that leave so
-# many to a period of the fastest channel: a filter that is alike for all leaves a derivative a derivative.
+# Channels are compared on at most this many rows, the middle ones, of a faster record after block means with this many
+# to a period of the fastest channel: a filter that is alike for all leaves a derivative a derivative.
 ROWS = 16_384
 PER_PERIOD = 16.0
 

@@ -35,7 +35,7 @@ NEAR = 0.02
 # Channels are exchanged where one gain differs from that of the units by more than this, and the other by less [ln].
 EXCHANGED, AS_STATED = math.log(2.0), math.log(1.1)
 
-# Clipping: a run of this many equal samples at an extreme, and equal ones nowhere else, or this many in all and so many
+# Clipping: a run of this many equal samples at an extreme, and equal ones nowhere else; or this many in all, this many
 # times those of any next level. A channel of few levels, or at its extreme for most of the time, is switched.
 LEAST_RUN = 3
 LEAST_CLIPPED = 10
@@ -52,7 +52,7 @@ LEVELS_PER_STEP = 8.0
 MOST_REPEATED = 0.3
 
 # Straight lines: second differences of this share of the largest, or of as many levels as rounding makes. Bends between
-# them, at even places and unlike: at least this many, in fewer than this share of the rows, so many times larger.
+# them, at even places and unlike: at least this many, in fewer than this share of rows, this many times larger.
 STRAIGHT, ROUNDED, LEAST_BENDS, MOST_BENT, BENT = 1e-3, 2.01, 20, 0.6, 10.0
 
 # Steps of time [s] from which on they may be milliseconds without a unit, of motion of less rows a period than this.
