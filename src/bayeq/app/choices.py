@@ -71,9 +71,7 @@ def proposed(info: Mapping[str, Any]) -> dict[str, Choice]:
 
 
 def chains_of(choices: Mapping[str, Choice]) -> list[str]:
-    """The chains that roles make, as ``--chain`` takes them.
-
-    InputError: no channel moves, two have the same role of the same coordinate, or a rate has no state.
+    """The chains that roles make, as ``--chain`` takes them; InputError for none, or roles that contradict each other.
 
     Examples
     --------

@@ -10,7 +10,7 @@ from typing import Any
 
 from nicegui import background_tasks, ui
 
-from bayeq.app.choices import EQUATION, INPUT, RATE, READING, REPORT, ROLES, Choice
+from bayeq.app.choices import EQUATION, INPUT, RATE, READING, REPORT, ROLES
 from bayeq.app.session import LARGEST, LOOKING, Session, safe_name
 from bayeq.equation.report.page import STYLE
 from bayeq.errors import InputError
@@ -200,16 +200,40 @@ def stop_button(session: Session) -> Any:
 
 @ui.refreshable
 def channels(session: Session, several: bool) -> None:
-    """Roles, with numbers of coordinates where there are several."""
+    """A row for each channel: its name, what it is like, its role, and its coordinate where there are several."""
+    choices = session.choices.roles
 
     def number(event: Any) -> None:
         if not event.value:
-            for choice in session.choices.roles.values():
+            for choice in choices.values():
                 choice.coordinate = 1
         channels.refresh(session, event.value)
 
     assert session.opened is not None
-    channel_rows(session.opened.info, session.choices.roles, several)
+    found = sorted(session.opened.info["channels"], key=lambda one: not choices[one["name"]].role)
+    with ui.element("div").classes("channels several" if several else "channels"):
+        for channel in found[:MOST_CHANNELS]:
+            name, choice = channel["name"], choices[channel["name"]]
+            unit = f" [{channel['unit']}]" if channel["unit"] else ""
+            text(name + unit, "channel-name", "div")
+            text(_about(channel), "channel-about", "div")
+            role = ui.select(ROLES, label=f"Role of {name}").props("outlined dense options-dense").classes("role")
+            role.bind_value(choice, "role").on_value_change(command_step.refresh)
+            for what in ("unit", "offset"):
+                made = text_field(what.capitalize(), "", choice, what)
+                made.props["aria-label"] = f"{what.capitalize()} of {name}"  # set so, a name is no option
+            if several:
+                numbers = list(range(1, max(MOST_COORDINATES, choice.coordinate) + 1))
+                made = ui.select(numbers, label="Coordinate").props("outlined dense options-dense")
+                made.props["aria-label"] = f"Coordinate of {name}"
+                made.bind_value(choice, "coordinate").on_value_change(command_step.refresh)
+                made.bind_visibility_from(choice, "role", lambda role: role not in ("", INPUT))
+    if len(found) > MOST_CHANNELS:
+        message(
+            f"The file has {len(found)} channels; the first {MOST_CHANNELS} are offered here. For others, write the"
+            " command below in a terminal.",
+            "said",
+        )
     ui.checkbox("Several coordinates, such as two masses", value=several, on_change=number)
 
 
@@ -312,34 +336,6 @@ def in_a_line(info: Mapping[str, Any]) -> str:
         return f"{info['rows']} rows, {channels}; no time in the file"
     steps = "at" if time["uniform"] else "at uneven steps, mostly at"
     return f"{info['rows']} rows {steps} {time['fs']:.6g} Hz, {time['duration']:.6g} s; {channels}"
-
-
-def channel_rows(info: Mapping[str, Any], choices: dict[str, Choice], several: bool) -> None:
-    """A row for each channel: its name, what it is like, and its role."""
-    channels = sorted(info["channels"], key=lambda one: not choices[one["name"]].role)
-    with ui.element("div").classes("channels several" if several else "channels"):
-        for channel in channels[:MOST_CHANNELS]:
-            name, choice = channel["name"], choices[channel["name"]]
-            unit = f" [{channel['unit']}]" if channel["unit"] else ""
-            text(name + unit, "channel-name", "div")
-            text(_about(channel), "channel-about", "div")
-            role = ui.select(ROLES, label=f"Role of {name}").props("outlined dense options-dense").classes("role")
-            role.bind_value(choice, "role").on_value_change(command_step.refresh)
-            for what in ("unit", "offset"):
-                made = text_field(what.capitalize(), "", choice, what)
-                made.props["aria-label"] = f"{what.capitalize()} of {name}"  # set so, a name is no option
-            if several:
-                numbers = list(range(1, max(MOST_COORDINATES, choice.coordinate) + 1))
-                made = ui.select(numbers, label="Coordinate").props("outlined dense options-dense")
-                made.props["aria-label"] = f"Coordinate of {name}"
-                made.bind_value(choice, "coordinate").on_value_change(command_step.refresh)
-                made.bind_visibility_from(choice, "role", lambda role: role not in ("", INPUT))
-    if len(channels) > MOST_CHANNELS:
-        message(
-            f"The file has {len(channels)} channels; the first {MOST_CHANNELS} are offered here. For others, write the"
-            " command below in a terminal.",
-            "said",
-        )
 
 
 def _about(channel: Mapping[str, Any]) -> str:

@@ -236,9 +236,7 @@ class Session:
 
 
 def safe_name(name: str) -> str:
-    """A name of a file that came from a browser, as one that can be used: no folder, no sign that means something.
-
-    The ending stays, since it says the format.
+    """A name of a file from a browser as one that can be used, without folders and signs that mean something.
 
     Examples
     --------

@@ -18,9 +18,7 @@ _ZERO, _ONE = Number(0), Number(1)
 
 
 def multiplied(term: Expression, targets: Sequence[str]) -> tuple[int, Expression] | None:
-    """The highest derivative that is a factor of a term, and the rest; None of a term without any.
-
-    ValueError: a term that is not proportional to one highest derivative.
+    """The highest derivative that a term is proportional to, and the rest; None without any, ValueError if otherwise.
 
     Examples
     --------

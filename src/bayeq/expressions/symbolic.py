@@ -116,10 +116,9 @@ _INVISIBLE_TIMES = '<mo rspace="0.17em">&#x2062;</mo>'
 
 
 def mathml(expression: Expression, names: Mapping[str, str] | None = None, factor: bool = False) -> str:
-    """The expression in presentation MathML, one ``mrow``.
+    """The expression in presentation MathML, one ``mrow``; a `factor` behind a coefficient has brackets where it must.
 
-    `names` has MathML of symbols that are not to be written by their names, such as ``symbol_mathml("x", dots=1)`` of
-    v. A `factor` stands behind a coefficient, and gets brackets where it must.
+    `names` has MathML of symbols that are not written by their names, such as ``symbol_mathml("x", dots=1)`` of v.
 
     Examples
     --------

@@ -141,8 +141,8 @@ class Guess:
 def clues_of(units: Mapping[str, str]) -> dict[str, Clue]:
     """What the units and names of the channels of a record say.
 
-    What all names begin with is left out where it says nothing, F of rig_F beside rig_x, or is a letter before names of
-    other kinds. Names of a recorder's inputs, Voltage_0 and Voltage_1, say nothing at all.
+    What all names begin with is left out where it says nothing, as rig of rig_x and rig_F, or is a letter before names
+    of other kinds. Names of a recorder's inputs, Voltage_0 and Voltage_1, say nothing at all.
 
     Examples
     --------

@@ -35,8 +35,7 @@ FileState = tuple[int, int]
 def replacing(path: Path) -> Iterator[Path]:
     """A path to write to; what is written there takes the place of `path` at the end, if nothing went wrong.
 
-    An interrupted write leaves what was there before. What is not a regular file (a pipe, a device) is written
-    directly. An OSError that names `path` says that the file cannot be written.
+    What is not a regular file (a pipe, a device) is written directly. An OSError names `path`.
 
     Examples
     --------

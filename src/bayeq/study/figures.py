@@ -101,10 +101,9 @@ def compare(name: str, config: StudyConfig) -> Comparison:
 
 
 def confidence_ellipse(mean: ArrayLike, covariance: ArrayLike, level: float = 0.95) -> Floats:
-    """Outline (2, 200), a closed curve, of the region that holds a share `level` of a bivariate Gaussian.
+    """Outline (2, 200) of the region that holds a share `level` of a bivariate Gaussian, of mean (2,) and covariance C.
 
-    The points where ``(t - mean)' C^-1 (t - mean)`` is the chi-square quantile with 2 degrees of freedom,
-    ``-2 ln(1 - level)``; mean (2,) and covariance (2, 2), positive definite.
+    There ``(t - mean)' C^-1 (t - mean)`` is the chi-square quantile with 2 degrees of freedom, ``-2 ln(1 - level)``.
 
     Examples
     --------
