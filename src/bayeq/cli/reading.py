@@ -149,7 +149,8 @@ class Reading:
         progress: Callable[[str, int, int], None],
     ) -> list[Record]:
         """The records of the files; ``-`` is standard input, and channels that are not used need not be numbers."""
-        from bayeq.records import with_row_numbers
+        from bayeq.records import remove_offset, with_row_numbers
+        from bayeq.records.io import rows_of
 
         _require_different(files)
         wanted = list(dict.fromkeys([*used, *self.offsets]))
@@ -164,19 +165,10 @@ class Reading:
             for name in self.units:  # of a channel that none of the files has
                 if opt.channel_name(name) not in known and name not in ("t", self.time):
                     raise UnknownNameError("channel", name, known, "--units")
-            records = _join(parts)
-        return with_row_numbers([self._altered(record) for record in records])
-
-    def _altered(self, record: Record) -> Record:
-        """The rows that are used, without offsets."""
-        from bayeq.records import remove_offset
-        from bayeq.records.io import rows_of
-
-        if self.rows is not None and self.join:
-            record = rows_of(record, self.rows)
+            records = [record if self.rows is None else rows_of(record, self.rows) for record in _join(parts)]
         for name, value in self.offsets.items():
-            record = remove_offset(record, name, value)
-        return record
+            records = [remove_offset(record, name, value) for record in records]
+        return with_row_numbers(records)
 
     def _read(self, file: Path, used: Sequence[str], paths: Mapping[str, str]) -> list[Record]:
         from bayeq.records import read

@@ -108,12 +108,6 @@ class Call(_Node):
     arguments: tuple[Node, ...]
 
 
-def argument_count(least: int, most: int | None) -> str:
-    """How many arguments a function takes, in words."""
-    words = {1: "one argument", 2: "two arguments", 3: "three arguments"}
-    return f"exactly {words[least]}" if most == least else f"{words[least]} or more"
-
-
 Node: TypeAlias = Number | Constant | Symbol | Unknown | Negate | Binary | Call
 
 

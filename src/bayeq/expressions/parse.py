@@ -24,7 +24,6 @@ from bayeq.expressions.nodes import (
     Number,
     Symbol,
     Unknown,
-    argument_count,
     arguments_of,
     is_comparison,
     replaced,
@@ -286,7 +285,8 @@ class _Parser:
             self.close(opened)
         least, most = (1, 1) if function == SQUARE else FUNCTIONS[function].arguments
         if not least <= len(arguments) <= (most or len(arguments)):
-            takes = argument_count(least, most)
+            words = {1: "one argument", 2: "two arguments", 3: "three arguments"}
+            takes = f"exactly {words[least]}" if most == least else f"{words[least]} or more"
             raise self.error(f"{name.text} takes {takes}, not {len(arguments)}, at column {name.column}")
         if function == SQUARE:
             return self.made(Binary("**", arguments[0], self.made(Number(2))))

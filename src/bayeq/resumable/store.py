@@ -60,7 +60,7 @@ class ResultStore:
     def __init__(self, path: str | Path, make: bool = False, any_thread: bool = False) -> None:
         self.path = Path(path)
         self._require_place(make)
-        try:
+        with self._guard():
             # Not read-only: what a killed process left half written has to be rolled back.
             self._connection = sqlite3.connect(
                 f"{self.path.absolute().as_uri()}?mode={'rwc' if make else 'rw'}",
@@ -69,8 +69,6 @@ class ResultStore:
                 isolation_level=None,
                 check_same_thread=not any_thread,
             )
-        except sqlite3.Error as error:
-            raise FileFormatError(f"{self.path}: {error}") from None
         try:
             if make:
                 self._make()

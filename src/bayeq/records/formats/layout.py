@@ -151,16 +151,14 @@ def _header(rows: list[str], delimiter: str | None, where: str) -> tuple[list[st
     head = split(rows[0], delimiter) if delimiter is not None else bracketed_words(unquoted(rows[0]))
     if not is_words(head):
         return None, 0
-    if len(rows) == 1:
-        raise FileFormatError(f"{where}: a header but no rows")
-    cells = split(rows[1], delimiter)
+    cells = split(rows[1], delimiter) if len(rows) > 1 else []
     units = _unit_row(cells) if is_words(cells) else None
     first = 1 if units is None else 2
-    header = words(rows[0], delimiter, len(split(rows[first], delimiter)) if first < len(rows) else 0)
-    if units is not None and len(header) == len(units):
-        header = with_units(header, units)
     if first == len(rows):
         raise FileFormatError(f"{where}: a header but no rows")
+    header = words(rows[0], delimiter, len(split(rows[first], delimiter)))
+    if units is not None and len(header) == len(units):
+        header = with_units(header, units)
     return header, first
 
 
@@ -298,7 +296,7 @@ def _rigol(rows: Sequence[str], start: int, delimiter: str | None) -> Table | No
     lower = [name.casefold() for name in names]
     if "increment" not in lower or len(below) < len(names) or not is_number(below[lower.index("increment")]):
         return None
-    step = number_of(below[lower.index("increment")])
+    step = float(below[lower.index("increment")].lower().replace("d", "e").replace(",", "."))
     units = ["" if is_number(cell) else unit_cell(cell) or "" for cell in below[: len(names)]]
     width = len(split(rows[start], delimiter))
     header = with_units(names, units)[:width]
@@ -421,17 +419,6 @@ def is_number(cell: str) -> bool:
     except ValueError:
         return bool(_COMMA_NUMBER.fullmatch(cell))
     return cell.strip("+-").lower() not in ("nan", "inf", "infinity")
-
-
-def number_of(cell: str) -> float:
-    """The number in a cell that `is_number`.
-
-    Examples
-    --------
-    >>> number_of("1,5"), number_of("2.0d-3")
-    (1.5, 0.002)
-    """
-    return float(cell.lower().replace("d", "e").replace(",", "."))
 
 
 def is_words(cells: list[str]) -> bool:

@@ -106,8 +106,8 @@ def _read(
     if unnamed and trials and given is None and _is_trial_and_time(data):
         headers = Headers.parse(["trial", "t", *readings[0]], where)
     if layout.stamps:
-        kept = range(len(headers))
-        headers = replace(headers, units=["s" if i in layout.stamps else headers.units[i] for i in kept])
+        units = ["s" if i in layout.stamps else unit for i, unit in enumerate(headers.units)]
+        headers = replace(headers, units=units)
     columns = np.ascontiguousarray(data.T)
     found = Columns.build(headers.renamed(given), columns.__getitem__, chosen)
     return replace(found, step=layout.step, begins=begins, doubts=(*found.doubts, *doubts))
@@ -150,10 +150,8 @@ class _Lines:
                     raise
                 rows += 1
                 values.extend(row)
-                if cells[-1].strip():
-                    self.trailing = False
-                    last = rows
-                elif any(map(str.strip, cells)):
+                self.trailing = self.trailing and not cells[-1].strip()
+                if any(map(str.strip, cells)):
                     last = rows
         data = np.frombuffer(values, dtype=np.float64).reshape(-1, layout.width)
         # Rows of empty cells at the end are what spreadsheets leave behind; within the data they are gaps.
