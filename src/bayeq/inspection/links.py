@@ -123,8 +123,8 @@ def _even(record: Record) -> Record:
 
 def find_links(record: Record, names: Sequence[str]) -> list[Link]:
     """Pairs of channels of which one is the first or second derivative of the other, the surest first."""
-    frames = None if record.time is None else uniform_frames(record.time)
-    if frames is None or record.time is None:
+    frames = uniform_frames(record.time)
+    if frames is None:
         return []
     used = [name for name in names[:MOST_CHANNELS] if _is_whole(record[name])]
     rates = {name: _mean_frequency(record[name]) for name in used}
@@ -136,7 +136,7 @@ def find_links(record: Record, names: Sequence[str]) -> list[Link]:
             expected = stated_gain(record, p, q, order)
             if expected is None and p in record.units and q in record.units:  # no units of a motion and this derivative
                 continue
-            relation = relate(record.time, record[p], record[q], order, frames)
+            relation = relate(record[p], record[q], order, frames)
             if relation is not None and _is_derivative(relation, expected, rates[q] / rates[p], frames):
                 gain = relation.sign * relation.gain
                 link = Link(p, q, order, gain, relation.delay, relation.fit, expected)
@@ -151,18 +151,18 @@ def absolute(
 
     Each with that displacement and the base. Clearly more has to be explained than by either acceleration alone.
     """
-    frames = None if record.time is None else uniform_frames(record.time)
+    frames = uniform_frames(record.time)
     found: dict[str, tuple[str, str]] = {}
     usable = [[name for name in own if _is_whole(record[name])] for own in (displacements, accelerations, bases)]
     pairs = [(q, base) for q, base in product(*usable[1:]) if q != base]
-    if frames is None or record.time is None or len(usable[0]) * len(pairs) > MOST_PAIRS:
+    if frames is None or len(usable[0]) * len(pairs) > MOST_PAIRS:
         return found
     for p in usable[0]:
         for q, base in pairs:
             if record.units.get(q) != record.units.get(base):
                 continue
-            alone = [relate(record.time, record[p], record[one], 2, frames) for one in (q, base)]
-            both = relate(record.time, record[p], record[q] - record[base], 2, frames)
+            alone = [relate(record[p], record[one], 2, frames) for one in (q, base)]
+            both = relate(record[p], record[q] - record[base], 2, frames)
             expected = stated_gain(record, p, q, 2)
             left = [1.0 - one.fit for one in alone if one is not None]
             if both is None or both.sign < 0 or abs(both.delay) > MOST_DELAY * frames.dt:
@@ -210,7 +210,7 @@ def _doubt(relation: Relation, expected: float | None, frames: Frames) -> float:
 
 def correlations(record: Record, names: Sequence[str]) -> dict[frozenset[str], float]:
     """Of each two channels the largest correlation over all lags, without its sign; none without even time."""
-    if record.time is None or uniform_frames(record.time) is None:
+    if uniform_frames(record.time) is None:
         return {}
     length = 2 * record.n
     spectra = {name: np.fft.rfft(values, length) for name, values in _scaled(record, names[:MOST_CHANNELS]).items()}

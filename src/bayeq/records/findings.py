@@ -200,9 +200,7 @@ def without_copies(records: Sequence[Record], names: Sequence[str]) -> tuple[lis
 def _kinematics(record: Record, chain: Sequence[str | None]) -> list[Finding]:
     """Offsets, delays, signs and gains within a chain."""
     measured = [(order, name) for order, name in enumerate(chain) if name is not None]
-    if record.time is None or len(measured) < 2:
-        return []
-    frames = uniform_frames(record.time)
+    frames = uniform_frames(record.time) if len(measured) > 1 else None
     if frames is None:
         return []
     found: list[Finding] = []
@@ -210,7 +208,7 @@ def _kinematics(record: Record, chain: Sequence[str | None]) -> list[Finding]:
     for (low, p), (high, q) in pairwise(measured):
         if not (np.ptp(record[p]) > 0.0 and np.ptp(record[q]) > 0.0):
             return found
-        link = relate(record.time, record[p], record[q], high - low, frames)
+        link = relate(record[p], record[q], high - low, frames)
         if link is None:
             return found
         found += _exchanged(record, p, q, high - low, link, frames)
@@ -235,9 +233,9 @@ def _exchanged(record: Record, p: str, q: str, order: int, link: Relation, frame
     """Whether p is the derivative of q, in the units of the other each, where q is not that of p."""
     stated = stated_gain(record, p, q, order) or 1.0
     as_said = link.fit >= RECORDS.least_fit and abs(math.log(link.gain / stated)) < EXCHANGED
-    if record.time is None or as_said or counts_rows(record):
+    if as_said or counts_rows(record):
         return
-    back = relate(record.time, record[q], record[p], order, frames)
+    back = relate(record[q], record[p], order, frames)
     if back is None or back.fit < RECORDS.least_fit or back.sign < 0 or abs(math.log(back.gain / stated)) > AS_STATED:
         return
     if back.least_gain * link.most_gain < link.least_gain * back.most_gain:  # the gain is less the same
@@ -344,14 +342,13 @@ def _delays(measured: Sequence[tuple[int, str]], links: Sequence[Relation], dt: 
 
 def _shifts(record: Record, p: str, q: str, order: int, link: Relation, frames: Frames) -> Iterator[Finding]:
     """Offset and drift against the derivative of the channel below, by the stated gain if it may be, without noise."""
-    assert record.time is not None
     stated = stated_gain(record, p, q, order) or 1.0
     if abs(math.log(link.gain / stated)) <= max(math.log(RECORDS.least_gain), _undecided(link)):
         gain, gain_error = stated, 0.0
     else:
         gain, gain_error = link.gain, link.gain * _undecided(link) / RECORDS.significant
     shift = shift_of(record[p], record[q], order, frames, link.sign * gain, gain_error)
-    spread, span = float(np.std(record[q])), float(record.time[-1] - record.time[0])
+    spread, span = float(np.std(record[q])), float(frames.time[-1] - frames.time[0])
     unit = f" {record.units[q]}" if q in record.units else ""
     what = derivative_name(p, order)
     significant = t_quantile(shift.freedom, RECORDS.significant)
