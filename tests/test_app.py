@@ -72,7 +72,7 @@ def test_what_is_typed_is_the_value_of_its_option_and_nothing_else(text):
     roles = {"x": Choice("displacement", unit=text, offset=text)}
     choices = Choices(roles, dictionary=text, rows=text, band=text, constraints=text, reading={"--time": text})
     words = discover_command(["run.csv"], choices)
-    context = discover.make_context("discover", words[1:])
+    context = discover.make_context("discover", words[1:], help_option_names=["-h", "--help"])  # which click keeps
     assert context.params["dictionaries"] == (text,)
     assert (context.params["rows"], context.params["band"]) == (text, text)
     assert (context.params["time"], context.params["constraints"]) == (text, (text,))
