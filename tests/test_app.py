@@ -19,7 +19,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 import bayeq as bq
-from bayeq.app.choices import EQUATION, INPUT, READING, ROLES, Choice, Choices, chains_of, discover_command, proposed
+from bayeq.app.choices import EQUATION, INPUT, READING, ROLES, Choice, Choices, chains_of, discover_command
 from bayeq.app.server import Guard
 from bayeq.app.session import LARGEST, LONGEST_NAME, Child, Session, Workspace, safe_name
 from bayeq.cli.app import main
@@ -84,7 +84,7 @@ def test_what_is_typed_is_the_value_of_its_option_and_nothing_else(text):
     "chains", [["x:v:a"], ["x::a"], ["x1:v1:a1", "x2:v2:a2"], ["hare", "lynx"], ["h:dh"], ["p:dp", "q:dq"], ["::a"]]
 )
 def test_proposed_roles_make_the_proposed_chains(chains):
-    choices = proposed(info_of(chains, ["u", "f"], ["other"]))
+    choices = Choices.proposed(info_of(chains, ["u", "f"], ["other"])).roles
     assert chains_of(choices) == chains
     assert [name for name, choice in choices.items() if choice.role == INPUT] == ["u", "f"]
     assert choices["other"].role == ""

@@ -53,23 +53,6 @@ class Choice:
     offset: str = ""
 
 
-def proposed(info: Mapping[str, Any]) -> dict[str, Choice]:
-    """Likely roles by channel, from what ``bayeq info --json`` prints."""
-    out = {channel["name"]: Choice() for channel in info["channels"]}
-    number = 0
-    for chain in info["roles"]["chains"]:
-        names = chain.split(":")
-        roles = MOTION if len(names) == len(MOTION) else (STATE, RATE)
-        number += len(names) > 1  # a state alone needs no number, which the page need not show then
-        for name, role in zip(names, roles, strict=False):
-            if name in out:
-                out[name] = Choice(role, number if len(names) > 1 else 1)
-    for name in info["roles"]["inputs"]:
-        if name in out:
-            out[name] = Choice(INPUT)
-    return out
-
-
 def chains_of(choices: Mapping[str, Choice]) -> list[str]:
     """The chains that roles make, as ``--chain`` takes them; InputError for none, or roles that contradict each other.
 
@@ -135,9 +118,18 @@ class Choices:
     @classmethod
     def proposed(cls, info: Mapping[str, Any]) -> Choices:
         """What ``bayeq info --json`` proposes to run."""
+        roles = {channel["name"]: Choice() for channel in info["channels"]}
+        number = 0
+        for chain in info["roles"]["chains"]:
+            names = chain.split(":")
+            number += len(names) > 1  # a state alone needs no number, which the page need not show then
+            for name, role in zip(names, MOTION if len(names) == len(MOTION) else (STATE, RATE), strict=False):
+                if name in roles:
+                    roles[name] = Choice(role, number if len(names) > 1 else 1)
+        roles |= {name: Choice(INPUT) for name in info["roles"]["inputs"] if name in roles}
         words = shlex.split(info["next"]["command"] or "")[3:]
         options = dict(zip(words[::2], words[1::2], strict=False))
-        made = cls(roles=proposed(info))
+        made = cls(roles)
         made.dictionary = options.get("--dictionary", made.dictionary)
         made.reading |= {option: options[option] for option in READING if option in options}
         rate = options.get("--fs", "")

@@ -154,8 +154,6 @@ def named_channels(options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str
 
 def channel_name(name: str) -> str:
     """A channel by its name or by its header in the file, such as ``Displ. (m)``."""
-    if name.isidentifier():
-        return name
     from bayeq.records.names import channel_name as of_header
 
     return of_header(name)

@@ -7,6 +7,7 @@ import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -129,12 +130,10 @@ def joint_posterior(comparison: Comparison) -> JointPosterior:
     mean = vb.coef[true] / scale
     place = {int(j): k for k, j in enumerate(np.flatnonzero(vb.support))}
     ellipses = {}
-    for j, term in enumerate(true):
-        for i, other in enumerate(true[:j]):
-            if vb.support[term] and vb.support[other]:
-                rows = [place[int(other)], place[int(term)]]
-                covariance = vb.covariance[np.ix_(rows, rows)] / np.outer(scale[[i, j]], scale[[i, j]])
-                ellipses[i, j] = confidence_ellipse(mean[[i, j]], covariance)
+    for i, j in combinations([k for k, term in enumerate(true) if vb.support[term]], 2):
+        rows, pair = [place[int(true[k])] for k in (i, j)], [i, j]
+        covariance = vb.covariance[np.ix_(rows, rows)] / np.outer(scale[pair], scale[pair])
+        ellipses[i, j] = confidence_ellipse(mean[pair], covariance)
     z = draws.z.reshape(-1, len(vb.names))
     samples = draws.theta.reshape(z.shape)[:, true] / scale
     truth = comparison.truth[true] / scale
