@@ -27,7 +27,7 @@ from bayeq.records import Record
 from bayeq.study import cells
 from bayeq.study.cells import CONSTANT, Cell, Cells, Outcome
 from bayeq.study.config import choose
-from bayeq.systems import System, simulate
+from bayeq.systems import simulate
 
 #: Kind and per cent.
 NOISES = ("none 0", "multiplied 1", "multiplied 5", "added 1", "added 5")
@@ -40,8 +40,7 @@ SUBSTEPS = 50
 # A free run that explains more of the variance follows the trajectory.
 FOLLOWS = 0.9
 
-# The grid of PySINDy: thresholds, ridges, orders of differences, windows of smoothing, degrees. Models are fitted to
-# the first rows.
+# The grid of PySINDy: thresholds, ridges, orders of differences, windows of smoothing, degrees; the rows of its fits.
 GRID = ((0.05, 0.1, 0.15), (0.025, 0.05, 0.075), (2, 3, 4), (None, 15), (1, 2, 3))
 TRAINED = 0.7
 
@@ -64,32 +63,28 @@ WITH_CONSTANTS = {
 }
 
 
-def systems() -> list[str]:
-    """Numbers of the systems, as text."""
-    return [str(one["id"]) for one in cells.facts()["odebench"]]
-
-
 @lru_cache(maxsize=1)
 def _known() -> Mapping[str, Any]:
     return {str(one["id"]): one for one in cells.facts()["odebench"]}
+
+
+def systems() -> list[str]:
+    """Numbers of the systems, as text."""
+    return list(_known())
 
 
 @lru_cache(maxsize=256)
 def _clean(name: str, start: int) -> Record:
     """The trajectory from one of the two initial states."""
     known = _known()[name]
-    states = known["states"]
-    system = System(
-        name=f"odebench-{name}",
+    system = cells.system_of(
+        f"odebench-{name}",
+        known["states"],
+        known["rhs"],
+        known["initial"][start],
         title=known["name"],
-        chains=tuple(states),
-        rhs=dict(zip(states, known["rhs"], strict=True)),
-        terms={f"d{state}": {} for state in states},
-        parameters={},
-        initial=dict(zip(states, known["initial"][start], strict=True)),
         n=ROWS,
         fs=(ROWS - 1) / SECONDS,
-        noise=0.0,
         substeps=SUBSTEPS,
         citation=cells.facts()["odebench_source"],
     )
@@ -97,10 +92,7 @@ def _clean(name: str, start: int) -> Record:
 
 
 def draw(name: str, start: int, noise: str, points: float, seed: int) -> Record:
-    """A noisy trajectory from one of the two initial states.
-
-    The seed draws the noise, one of `NOISES`, and which share of the points is kept, always with the first.
-    """
+    """A noisy trajectory; the seed draws the noise, and which share of the points is kept beside the first."""
     clean = _clean(name, start)
     kind, size = noise.split()
     rng = np.random.default_rng([seed, int(name), start])
@@ -141,7 +133,6 @@ def measure(cell: Cell, seed: int) -> Outcome:
 
 
 def informed(name: str) -> list[str]:
-    """The informed dictionary of a system."""
     known = _known()[name]
     if int(name) in WITH_CONSTANTS:
         return WITH_CONSTANTS[int(name)].split("; ")
@@ -180,16 +171,13 @@ def _r2(run: Floats, clean: Record) -> float:
 
 
 def _stlsq(record: Record, truth: Sequence[Record], functions: bool) -> Outcome:
-    """PySINDy by the authors' grid; sin, cos and exp beside the monomials are among its choices where asked for.
-
-    The best has the largest R2 of the derivatives in the last 30 %; the CPU time is that of the whole grid.
-    """
+    """PySINDy by the authors' grid, with sin, cos and exp if asked for; the best by R2 of the last 30 %."""
     with needing("pysindy", "pysindy", "PySINDy's fits"):
         import pysindy
     start = time.process_time()
     values, times = np.column_stack([record[name] for name in record.channels]), np.asarray(record.time)
     split = round(TRAINED * len(times))
-    best: tuple[float, Any] = (-np.inf, None)
+    highest, best = -np.inf, None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         for numbers in itertools.product(*GRID, (False, True) if functions else (False,)):
@@ -199,12 +187,12 @@ def _stlsq(record: Record, truth: Sequence[Record], functions: bool) -> Outcome:
                 score = float(model.score(values[split:], t=times[split:]))
             except (ValueError, np.linalg.LinAlgError):  # no term is left, or a column is not finite
                 continue
-            if score > best[0]:
-                best = (score, model)
+            if score > highest:
+                highest, best = score, model
     cpu = time.process_time() - start
-    if best[1] is None:
+    if best is None:
         return {"error": "no model", "cpu": cpu}
-    return {"cpu": cpu, "R2": [_r2(_run(best[1], one), one) for one in truth]}
+    return {"cpu": cpu, "R2": [_r2(_run(best, one), one) for one in truth]}
 
 
 def _model(pysindy: Any, threshold: Any, alpha: Any, order: Any, window: Any, degree: Any, functions: bool) -> Any:
@@ -249,10 +237,7 @@ def cells_of(
     dictionaries: Sequence[str],
     methods: Sequence[str],
 ) -> list[Cell]:
-    """The cells of some systems (None: all), `NOISES`, shares of the points, `DICTIONARIES` and `METHODS`.
-
-    Names that are not known are errors.
-    """
+    """The cells of some systems (None: all), `NOISES`, shares of the points, `DICTIONARIES` and `METHODS`, checked."""
     return [
         (name, start, noise, float(share), dictionary, method)
         for name in choose("system", systems() if names is None else names, systems())
@@ -276,7 +261,6 @@ def _kind(cell: Cell) -> Cell:
 
 
 def _about(noise: Any, points: Any, dictionary: Any, method: Any, rests: Any) -> dict[str, object]:
-    """The columns that say what a line is about."""
     return {
         "noise": noise,
         "points": f"{100 * points:g} %",
