@@ -148,6 +148,15 @@ def what_to_try(eq: Answer) -> str:
     """Where no equation was found: the likely cause and a command."""
     names = [name for name in eq.data.files if name]
     file = printable(names[0]) if names else "FILE"
+    # most of what is left
+    late = [d for one in eq.equations if (d := one.residuals.driver) and d.lag and d.correlation**2 > 0.5]
+    if late and eq.data.fs is not None and not any(one.chain.discrete for one in eq.equations):
+        found = max(late, key=lambda d: abs(d.correlation))
+        seconds = f"{abs(found.lag) / eq.data.fs:.2g}"
+        return printable(
+            f"What is left follows {found}: {found.name} may be {seconds} s {'early' if found.lag > 0 else 'late'}."
+            f" Try: --lag-sd {found.name}={seconds}"
+        )
     return (
         "Likely a channel has another role, unit or sign than was said, or the candidates lack what moves it."
         f" Try: bayeq info {file}"
