@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import replace
 
 import numpy as np
@@ -247,9 +247,10 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
         seconds = [float(np.ptp(rows.time)) for rows in regression.motion.train if rows.time is not None]
         verdict = suspecting(verdict, suspect, max(seconds))
     beyond = selection.fit.beyond_bounds(CONTRADICTED)
-    if beyond and verdict.kind != "none":
-        bounds = some_of([_beyond(name, *one) for name, one in beyond.items()], 60)
-        return Verdict("not determined", f"the record contradicts {bounds}", "check units, or drop that")
+    refused = [_beyond(name, *one) for name, one in beyond.items()]
+    refused += [text for text, _ in _against_stated(equation, selection)]
+    if refused and verdict.kind != "none":
+        return Verdict("not determined", f"the record contradicts {some_of(refused, 60)}", "check units, or drop that")
     if isinstance(regression, RecordRegression) and regression.record.rivals and verdict.kind != "none":
         other = ", ".join(f"{name} = {value:.4g}" for name, value in regression.record.rivals[0].items())
         return Verdict("not determined", f"as likely with {other}", "give narrower ranges, as in {a: 0.1..1}")
@@ -262,6 +263,18 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
 def _beyond(name: str, end: float, free: float, sds: float) -> str:
     """A bound, and by how many standard deviations the coefficient would be beyond it."""
     return f"{name} {'<=' if free > end else '>='} {end:.4g} by {f'{sds:.2g}' if sds < 10.0 else f'{sds:.0f}'} sd"
+
+
+def _against_stated(equation: Equation, selection: Selection) -> Iterator[tuple[str, float]]:
+    """What was stated of coefficients and the record contradicts, with what it says without that."""
+    posterior = equation.posterior
+    known = posterior if posterior.projected is None else posterior.projected
+    for j, mean, sd in selection.fit.constraints.stated:
+        stated, precision = sd**-2.0, known.sd[j] ** -2.0
+        alone = max(precision - stated, 1e-8 * precision)
+        value = (known.coef[j] * precision - mean * stated) / alone
+        if abs(value - mean) > CONTRADICTED * math.hypot(sd, alone**-0.5):
+            yield f"{posterior.names[j]} ~ {mean:.4g} +- {sd:.3g}", float(value)
 
 
 def _runners_up(fit: RegressionFit, posterior: Posterior) -> tuple[RunnerUp, ...]:
@@ -312,14 +325,8 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
         log.warn(
             f"{target}: whether the law is exact or only nearly true is not known: measure longer", ConvergenceWarning
         )
-    own = posterior.coef if posterior.projected is None else posterior.projected.coef
-    for j, mean, sd in selection.fit.constraints.stated:
-        if abs(own[j] - mean) > CONTRADICTED * sd:
-            log.warn(
-                f"{target}: the record contradicts {posterior.names[j]} ~ {mean:.4g} +- {sd:.3g}: it is"
-                f" {own[j]:.4g}; check both, or drop that",
-                DataWarning,
-            )
+    for text, value in _against_stated(equation, selection):
+        log.warn(f"{target}: the record contradicts {text}: it says {value:.4g}; check both, or drop that", DataWarning)
     force = _against(equation, regression.motion.roles.inputs)
     if force is not None:
         log.warn(
