@@ -334,16 +334,21 @@ class Question:
         if sensors.lags.keys() >= {*motion.roles.measured, *motion.roles.inputs}:
             raise InputError("lag_sd: only lags against other channels show: leave out a channel that is the clock")
         terms, known = _in_radians(self.terms, self.known, _units(pieces, motion.roles, WarningLog()), WarningLog())
-        terms, allowed = self._kept(terms, known, motion, WarningLog())
-        lags, moved = first_lags(motion, self._with_values(terms, motion, whole)), math.inf
-        sensors = replace(sensors, lags=lags)
+
+        def design_of(motion: Motion) -> Design:
+            motion, *_ = self._with_hidden(motion, terms, whole)
+            valued = self._with_values(with_values_of(terms, motion), motion, whole)
+            kept, allowed = self._kept(valued, known, motion, WarningLog())
+            return build_design(kept, motion, allowed=allowed)
+
+        first = design_of(motion)
+        sensors, moved = replace(sensors, lags=first_lags(first.motion, first.terms)), math.inf
         for k in range(SENSOR_ROUNDS):
             self.step("sensors", k, SENSOR_ROUNDS)
             motion = estimate_motion(pieces, motion.roles, self.smooth, motion.holdout, sensors, self.band)
             if moved < SENSOR_FOUND:
                 break
-            design = build_design(self._with_values(terms, motion, whole), motion, allowed=allowed)
-            sensors, moved = sensors_of_design(design, self.dictionary, self.prior)
+            sensors, moved = sensors_of_design(design_of(motion), self.dictionary, self.prior)
         return motion
 
     def _kept(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayeq.dictionary import evaluate_terms
 from bayeq.equation import text
 from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation
@@ -15,6 +16,7 @@ from bayeq.equation.physical import forces_of, own_parameters
 from bayeq.equation.quantities import PhysicalParameters, Quantity
 from bayeq.equation.written import moment
 from bayeq.errors import printable
+from bayeq.expressions import parse
 from bayeq.figures.runs import draw_states
 from bayeq.figures.style import above, axes_for, style
 from bayeq.figures.terms import draw_terms
@@ -88,7 +90,7 @@ def brief(eq: Answer) -> str:
             for said in (*(_wrapped(printable(which + said)) for said in (*failed(one), *series(one))), *shortest)
             for line in said
         ]
-    lines += [line for said in text.given_of(eq) for line in _wrapped(printable(said))]
+    lines += [line for said in (*copies(eq), *text.given_of(eq)) for line in _wrapped(printable(said))]
     lines += _wrapped(text.source_of(eq, short=True))
     if len(lines) > MOST_LINES >= len(lines) - lines.count("") + 1:
         del lines[above]
@@ -234,7 +236,7 @@ def checks(eq: Answer) -> str:
     seen = [one for one in eq.equations if not one.chain.hidden]
     fits, where = [one.held_out for one in seen], "rows that were not used"
     if fits[0] is None:
-        fits, where = [one.train for one in seen], "the rows used (none were held out)"
+        fits, where = [one.train for one in seen], "of the rows used (none were held out)"
     pairs = [(one, fit) for one, fit in zip(seen, fits, strict=True) if fit is not None]
     scores, still = eq.scores, () if eq.scores is None or fits[0] is None else eq.scores.still
     # of a target that is estimated the error is mostly that of the estimate
@@ -280,6 +282,23 @@ def failed(equation: Equation) -> Iterator[str]:
     yield from map(printable, (*text.forms_of(equation), *equation.at_ends))
     for left in equation.left_out:
         yield printable(f"likely, but left out ({left.reason}): {left.name}, probability {left.pip:.3f}")
+
+
+def copies(eq: Answer) -> Iterator[str]:
+    """Terms of the equations that others may stand for: the same on the record, and not elsewhere."""
+    shown = {name for one in eq.equations for name in one.shown}
+    for left in eq.dropped:
+        own = next((name for name in shown if left.reason == f"a copy of {name} on the data"), None)
+        if own is None:
+            continue
+        terms = [parse(left.name), parse(own)]
+        names = sorted(terms[0].names | terms[1].names)
+        columns = {name: np.cos((1.3 + k) * np.arange(1.0, 20.0)) for k, name in enumerate(names)}
+        with np.errstate(all="ignore"):
+            values = evaluate_terms(terms, columns)
+            first, second = (values - values.mean(axis=0)).T
+        if not abs(first @ second) > (1.0 - 1e-9) * np.linalg.norm(first) * np.linalg.norm(second):
+            yield f"{left.name} is the same as {own} on this record: either may be right beyond it"
 
 
 # Candidates that are not in the equation are listed up to this many.

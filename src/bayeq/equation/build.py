@@ -45,6 +45,7 @@ from bayeq.records.names import in_si, parse_unit
 from bayeq.regression.by_likelihood import RecordRegression, changes_by_noise, inputs_of_hidden_noise
 from bayeq.regression.fit import RegressionFit
 from bayeq.regression.regression import Regression
+from bayeq.states.sensors import of_no_unit
 
 # The record contradicts what is stated of a coefficient if it moves it by more of the stated standard deviations, and
 # a bound if the coefficient would be further beyond without it, in its own ones.
@@ -246,6 +247,11 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
     if suspect is not None and (verdict.kind in ("nearly true", "found") or verdict.advice == LONGER):
         seconds = [float(np.ptp(rows.time)) for rows in regression.motion.train if rows.time is not None]
         verdict = suspecting(verdict, suspect, max(seconds))
+    odd = of_no_unit(equation.chain, equation.unit_gains, equation.units)
+    if odd is not None and verdict.kind == "found":
+        name, below, factor = odd
+        reason = f"{name} is {factor:.3g} times what {below} gives, and no unit differs by that"
+        verdict = Verdict("nearly true", reason, f"check calibration and filters of {name}")
     beyond = selection.fit.beyond_bounds(CONTRADICTED)
     refused = [_beyond(name, *one) for name, one in beyond.items()]
     refused += [text for text, _ in _against_stated(equation, selection)]

@@ -207,7 +207,7 @@ def scaled_with(chains: Sequence[Chain], channel: str) -> tuple[str, ...]:
     for chain in chains:
         present = [k for k, name in enumerate(chain.measured) if name is not None]
         for k, name in enumerate(chain.names):
-            if k in present:
+            if k in present or not present:  # of a hidden state there is no channel
                 continue
             lower = [i for i in present if i < k]
             source = lower[-1] if lower else present[0]
@@ -251,6 +251,9 @@ IN_G = (1.0 / GRAVITY, 1e-3 / GRAVITY, 1e-6 / GRAVITY, 1e-2 / GRAVITY)
 ANGLES = tuple(factor**sign for factor in (math.pi / 180.0, 2.0 * math.pi) for sign in (1, -1))
 OTHERS = tuple(10.0**k for k in range(-18, 19))
 
+# Factors between two channels below this are of no units.
+UNLIKE = 2.0
+
 # Orders of derivatives that can be compared: the window's own derivatives are written out up to here.
 MOST_ORDER = 2
 
@@ -268,6 +271,29 @@ def rates(chain: Chain, gains: Sequence[float]) -> tuple[float, ...]:
     """
     whole = tuple(gains) or (1.0,) * (chain.order + 1)
     return tuple(below / above for below, above in pairwise(whole))
+
+
+def of_no_unit(chain: Chain, gains: Sequence[float], units: Mapping[str, str]) -> tuple[str, str, float] | None:
+    """A channel, one below it and by how much it is its derivative, more or less than any units of both are apart.
+
+    The gains are those of `unit_gains`; None where each is of units, or may be of some that are not known here.
+    """
+    measured = [(k, name) for k, name in enumerate(chain.measured[: len(gains)]) if name is not None]
+    for place, (k, name) in enumerate(measured[1:], 1):
+        found = []
+        for j, below in measured[:place]:
+            ratio, both = abs(gains[k] / gains[j]), below in units and name in units
+            stated = derivative_ratio(units[below], units[name], k - j) if both else None
+            factors = _usual(acceleration=k == 2) if stated is None else (stated,)
+            found.append((below, ratio / min(factors, key=lambda one: abs(math.log(ratio / one)))))
+        below, off = min(found, key=lambda one: abs(math.log(one[1])))
+        if 1e-6 < abs(math.log(off)) < math.log(UNLIKE):
+            return name, below, off
+    return None
+
+
+def _usual(acceleration: bool) -> tuple[float, ...]:
+    return (1.0, *PREFIXES, *(IN_G if acceleration else ()), *ANGLES, *OTHERS)
 
 
 def unit_gains(
@@ -326,7 +352,7 @@ def _decided(stated: float | None, found: _Estimate | None, acceleration: bool) 
     """
     if found is None:
         return 1.0 if stated is None else stated
-    usual = (1.0, *PREFIXES, *(IN_G if acceleration else ()), *ANGLES, *OTHERS)
+    usual = _usual(acceleration)
     agreeing = [gain for gain in usual if found.distance(gain) <= found.error]
     ratio = (agreeing or [min(usual, key=found.distance)])[0]
     if stated is not None and found.distance(stated) <= STATES.calibration + found.error:
