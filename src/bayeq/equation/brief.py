@@ -134,7 +134,8 @@ def sentence(eq: Answer) -> str:
     """The verdict's reason in words, behind its kind."""
     verdict = eq.verdict
     if verdict.kind != "found":
-        return printable(str(verdict).partition(": ")[2].removeprefix("no equation found: "))
+        said = verdict.reason if verdict.kind == "none" else str(verdict).partition(": ")[2]
+        return printable(said.removeprefix("no equation found: "))
     ranges = []
     for name in dict.fromkeys([*(n for one in eq.equations for n in one.chain.states), *eq.inputs]):
         if name in eq.data.measured.ranges and name not in eq.numbers:
@@ -148,17 +149,10 @@ def sentence(eq: Answer) -> str:
 
 def what_to_try(eq: Answer) -> str:
     """Where no equation was found: the likely cause and a command."""
+    if eq.verdict.advice:
+        return printable(f"Likely {eq.verdict.advice}.")
     names = [name for name in eq.data.files if name]
     file = printable(names[0]) if names else "FILE"
-    # most of what is left
-    late = [d for one in eq.equations if (d := one.residuals.driver) and d.lag and d.correlation**2 > 0.5]
-    if late and eq.data.fs is not None and not any(one.chain.discrete for one in eq.equations):
-        found = max(late, key=lambda d: abs(d.correlation))
-        seconds = f"{abs(found.lag) / eq.data.fs:.2g}"
-        return printable(
-            f"What is left follows {found}: {found.name} may be {seconds} s {'early' if found.lag > 0 else 'late'}."
-            f" Try: --lag-sd {found.name}={seconds}"
-        )
     return (
         "Likely a channel has another role, unit or sign than was said, or the candidates lack what moves it."
         f" Try: bayeq info {file}"

@@ -40,11 +40,13 @@ from bayeq.inference.collapsed.path import model_log_posterior, partial_shares
 from bayeq.inference.collapsed.search import neighbours
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.posterior import Posterior
+from bayeq.likelihood.gains import Suspect
 from bayeq.numerics.settings import EQUATION
 from bayeq.records.names import in_si, parse_unit
 from bayeq.regression.by_likelihood import RecordRegression, changes_by_noise, inputs_of_hidden_noise
 from bayeq.regression.fit import RegressionFit
 from bayeq.regression.regression import Regression
+from bayeq.states import Motion
 from bayeq.states.sensors import of_no_unit
 
 # The record contradicts what is stated of a coefficient if it moves it by more of the stated standard deviations, and
@@ -243,8 +245,9 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
         dependent,
         change,
     )
-    suspect = regression.suspect
-    if suspect is not None and (verdict.kind in ("nearly true", "found") or verdict.advice == LONGER):
+    late = _late(equation, regression.motion) if verdict.kind != "found" else None
+    suspect = late or regression.suspect
+    if suspect is not None and (late or verdict.kind in ("nearly true", "found") or verdict.advice == LONGER):
         seconds = [float(np.ptp(rows.time)) for rows in regression.motion.train if rows.time is not None]
         verdict = suspecting(verdict, suspect, max(seconds))
     odd = of_no_unit(equation.chain, equation.unit_gains, equation.units)
@@ -264,6 +267,14 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
         return verdict
     reason = f"{equation.posterior.details.method} did not converge: probabilities of terms may be off"
     return Verdict("not determined", reason, "give fewer candidate terms, or compare with another method")
+
+
+def _late(equation: Equation, motion: Motion) -> Suspect | None:
+    """The channel that most of what is left follows some rows earlier or later."""
+    driver, time = equation.residuals.driver, motion.train[0].time
+    if driver is None or not driver.lag or not driver.correlation**2 > 0.5 or time is None or equation.chain.discrete:
+        return None
+    return Suspect(driver.name, "lag", -driver.lag * float(np.median(np.diff(time))))
 
 
 def _beyond(name: str, end: float, free: float, sds: float) -> str:

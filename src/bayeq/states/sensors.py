@@ -207,7 +207,7 @@ def scaled_with(chains: Sequence[Chain], channel: str) -> tuple[str, ...]:
     for chain in chains:
         present = [k for k, name in enumerate(chain.measured) if name is not None]
         for k, name in enumerate(chain.names):
-            if k in present or not present:  # of a hidden state there is no channel
+            if k in present:
                 continue
             lower = [i for i in present if i < k]
             source = lower[-1] if lower else present[0]
@@ -274,26 +274,21 @@ def rates(chain: Chain, gains: Sequence[float]) -> tuple[float, ...]:
 
 
 def of_no_unit(chain: Chain, gains: Sequence[float], units: Mapping[str, str]) -> tuple[str, str, float] | None:
-    """A channel, one below it and by how much it is its derivative, more or less than any units of both are apart.
+    """A channel, one below it, and by how much the first is too large or too small to be its derivative.
 
-    The gains are those of `unit_gains`; None where each is of units, or may be of some that are not known here.
+    The gains are those of `unit_gains`; None where each is as stated, or may be of a unit that is not known.
     """
     measured = [(k, name) for k, name in enumerate(chain.measured[: len(gains)]) if name is not None]
     for place, (k, name) in enumerate(measured[1:], 1):
         found = []
         for j, below in measured[:place]:
-            ratio, both = abs(gains[k] / gains[j]), below in units and name in units
+            both = below in units and name in units
             stated = derivative_ratio(units[below], units[name], k - j) if both else None
-            factors = _usual(acceleration=k == 2) if stated is None else (stated,)
-            found.append((below, ratio / min(factors, key=lambda one: abs(math.log(ratio / one)))))
+            found.append((below, abs(gains[k] / gains[j]) / (stated or 1.0)))
         below, off = min(found, key=lambda one: abs(math.log(one[1])))
         if 1e-6 < abs(math.log(off)) < math.log(UNLIKE):
             return name, below, off
     return None
-
-
-def _usual(acceleration: bool) -> tuple[float, ...]:
-    return (1.0, *PREFIXES, *(IN_G if acceleration else ()), *ANGLES, *OTHERS)
 
 
 def unit_gains(
@@ -352,7 +347,7 @@ def _decided(stated: float | None, found: _Estimate | None, acceleration: bool) 
     """
     if found is None:
         return 1.0 if stated is None else stated
-    usual = _usual(acceleration)
+    usual = (1.0, *PREFIXES, *(IN_G if acceleration else ()), *ANGLES, *OTHERS)
     agreeing = [gain for gain in usual if found.distance(gain) <= found.error]
     ratio = (agreeing or [min(usual, key=found.distance)])[0]
     if stated is not None and found.distance(stated) <= STATES.calibration + found.error:
