@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import warnings
 from dataclasses import replace
 from functools import cache
@@ -16,7 +17,7 @@ from bayeq.forecast.free_run import typical_period
 from bayeq.forecast.rows import Rows
 from bayeq.numerics.rk4 import interpolant
 from bayeq.states import Roles, estimate_motion, parse_chain, rates, unit_gains
-from bayeq.states.sensors import _estimated
+from bayeq.states.sensors import _estimated, of_no_unit
 
 G = 9.80665
 CHAIN = parse_chain("x:v:a")
@@ -315,3 +316,12 @@ def test_clipped_peaks_do_not_change_a_unit():
     assert any("left out as clipped" in str(one.message) for one in caught)
     assert not any("calibration" in str(one.message) for one in caught)
     assert abs(eq.physical()["k"].mean - 1000.0) < 4 * eq.physical()["k"].sd
+
+
+def test_a_velocity_that_no_unit_makes_the_derivative_is_not_found():
+    found = discover(in_units(1.0, 1.2, 1.0, **SI))
+    assert found.verdict.kind == "nearly true"
+    assert re.match(r"v is 1\.\d+ times what x gives, and no unit differs by that", found.verdict.reason)
+    assert of_no_unit(CHAIN, (1.0, 1e-3, 1.0 / G), {}) is None
+    assert of_no_unit(CHAIN, (1.0, 39.37, 1.0), {}) is None  # a unit that is not known here
+    assert of_no_unit(CHAIN, (1.0, 1.0, 0.8), SI) == ("a", "x", 0.8)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayeq.dictionary import evaluate_terms
 from bayeq.equation import text
 from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation
@@ -16,6 +17,7 @@ from bayeq.equation.physical import forces_of, own_parameters
 from bayeq.equation.quantities import PhysicalParameters, Quantity
 from bayeq.equation.written import moment
 from bayeq.errors import printable
+from bayeq.expressions import parse
 from bayeq.figures.runs import draw_states
 from bayeq.figures.style import above, axes_for, style
 from bayeq.figures.terms import draw_terms
@@ -84,7 +86,7 @@ def brief(eq: Answer) -> str:
         small = [[_wrapped(which + said) for said in text.unseen(one, few, ADVICE)] for few in (FEW, 1)]
         others = (_wrapped(which + said) for said in (*failed(one), *series(one)))
         lines += chain.from_iterable([*others, *min(small, key=lambda said: sum(map(len, said)))])
-    lines += chain.from_iterable(map(_wrapped, text.given_of(eq)))
+    lines += chain.from_iterable(map(_wrapped, (*copies(eq), *text.given_of(eq))))
     lines += _wrapped(text.source_of(eq, short=True))
     if len(lines) > MOST_LINES >= len(lines) - lines.count("") + 1:
         del lines[above]
@@ -122,7 +124,8 @@ def sentence(eq: Answer) -> str:
     """The verdict's reason in words, behind its kind."""
     verdict = eq.verdict
     if verdict.kind != "found":
-        return printable(str(verdict).partition(": ")[2].removeprefix("no equation found: "))
+        said = verdict.reason if verdict.kind == "none" else str(verdict).partition(": ")[2]
+        return printable(said.removeprefix("no equation found: "))
     ranges = []
     for name in dict.fromkeys([*(n for one in eq.equations for n in one.chain.states), *eq.inputs]):
         if name in eq.data.measured.ranges and name not in eq.numbers:
@@ -136,6 +139,8 @@ def sentence(eq: Answer) -> str:
 
 def what_to_try(eq: Answer) -> str:
     """Where no equation was found: the likely cause and a command."""
+    if eq.verdict.advice:
+        return printable(f"Likely {eq.verdict.advice}.")
     names = [name for name in eq.data.files if name]
     file = printable(names[0]) if names else "FILE"
     return (
@@ -213,7 +218,7 @@ def checks(eq: Answer) -> str:
     seen = [one for one in eq.equations if not one.chain.hidden]
     fits, where = [one.held_out for one in seen], "rows that were not used"
     if fits[0] is None:
-        fits, where = [one.train for one in seen], "the rows used (none were held out)"
+        fits, where = [one.train for one in seen], "of the rows used (none were held out)"
     pairs = [(one, fit) for one, fit in zip(seen, fits, strict=True) if fit is not None]
     scores, still = eq.scores, () if eq.scores is None or fits[0] is None else eq.scores.still
     # of a target that is estimated the error is mostly that of the estimate
@@ -257,6 +262,23 @@ def failed(equation: Equation) -> Iterator[str]:
     yield from map(printable, (*text.forms_of(equation), *equation.at_ends))
     for left in equation.left_out:
         yield printable(f"likely, but left out ({left.reason}): {left.name}, probability {left.pip:.3f}")
+
+
+def copies(eq: Answer) -> Iterator[str]:
+    """Terms of the equations that others may stand for: the same on the record, and not elsewhere."""
+    shown = {name for one in eq.equations for name in one.shown}
+    for left in eq.dropped:
+        own = next((name for name in shown if left.reason == f"a copy of {name} on the data"), None)
+        if own is None:
+            continue
+        terms = [parse(left.name), parse(own)]
+        names = sorted(terms[0].names | terms[1].names)
+        columns = {name: np.cos((1.3 + k) * np.arange(1.0, 20.0)) for k, name in enumerate(names)}
+        with np.errstate(all="ignore"):
+            values = evaluate_terms(terms, columns)
+            first, second = (values - values.mean(axis=0)).T
+        if not abs(first @ second) > (1.0 - 1e-9) * np.linalg.norm(first) * np.linalg.norm(second):
+            yield f"{left.name} is the same as {own} on this record: either may be right beyond it"
 
 
 # Candidates that are not in the equation are listed up to this many.

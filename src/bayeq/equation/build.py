@@ -41,11 +41,14 @@ from bayeq.inference.collapsed.path import model_log_posterior, partial_shares
 from bayeq.inference.collapsed.search import neighbours
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.posterior import Posterior
+from bayeq.likelihood.gains import Suspect
 from bayeq.numerics.settings import EQUATION
 from bayeq.records.names import in_si, parse_unit
 from bayeq.regression.by_likelihood import RecordRegression, changes_by_noise, inputs_of_hidden_noise
 from bayeq.regression.fit import RegressionFit
 from bayeq.regression.regression import Regression
+from bayeq.states import Motion
+from bayeq.states.sensors import of_no_unit
 
 # The record contradicts what is stated of a coefficient if it moves it by more of the stated standard deviations, and
 # a bound if the coefficient would be further beyond without it, in its own ones.
@@ -244,14 +247,21 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
         dependent,
         change,
     )
-    suspect = regression.suspect
-    if suspect is not None and (verdict.kind in ("nearly true", "found") or verdict.advice == LONGER):
+    late = _late(equation, regression.motion) if verdict.kind != "found" else None
+    suspect = late or regression.suspect
+    if suspect is not None and (late or verdict.kind in ("nearly true", "found") or verdict.advice == LONGER):
         seconds = [float(np.ptp(rows.time)) for rows in regression.motion.train if rows.time is not None]
         verdict = suspecting(verdict, suspect, max(seconds))
+    odd = of_no_unit(equation.chain, equation.unit_gains, equation.units)
+    if odd is not None and verdict.kind == "found":
+        name, below, factor = odd
+        reason = f"{name} is {factor:.3g} times what {below} gives, and no unit differs by that"
+        verdict = Verdict("nearly true", reason, f"check calibration and filters of {name}")
     beyond = selection.fit.beyond_bounds(CONTRADICTED)
-    if beyond and verdict.kind != "none":
-        bounds = some_of([_beyond(name, *one) for name, one in beyond.items()], 60)
-        return Verdict("not determined", f"the record contradicts {bounds}", "check units, or drop that")
+    refused = [_beyond(name, *one) for name, one in beyond.items()]
+    refused += [text for text, _ in _against_stated(equation, selection)]
+    if refused and verdict.kind != "none":
+        return Verdict("not determined", f"the record contradicts {some_of(refused, 60)}", "check units, or drop that")
     if isinstance(regression, RecordRegression) and regression.record.rivals and verdict.kind != "none":
         other = ", ".join(f"{name} = {value:.4g}" for name, value in regression.record.rivals[0].items())
         return Verdict("not determined", f"as likely with {other}", "give narrower ranges, as in {a: 0.1..1}")
@@ -261,9 +271,29 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
     return Verdict("not determined", reason, "give fewer candidate terms, or compare with another method")
 
 
+def _late(equation: Equation, motion: Motion) -> Suspect | None:
+    """The channel that most of what is left follows some rows earlier or later."""
+    driver, time = equation.residuals.driver, motion.train[0].time
+    if driver is None or not driver.lag or not driver.correlation**2 > 0.5 or time is None or equation.chain.discrete:
+        return None
+    return Suspect(driver.name, "lag", -driver.lag * float(np.median(np.diff(time))))
+
+
 def _beyond(name: str, end: float, free: float, sds: float) -> str:
     """A bound, and by how many standard deviations the coefficient would be beyond it."""
     return f"{name} {'<=' if free > end else '>='} {end:.4g} by {f'{sds:.2g}' if sds < 10.0 else f'{sds:.0f}'} sd"
+
+
+def _against_stated(equation: Equation, selection: Selection) -> Iterator[tuple[str, float]]:
+    """What was stated of coefficients and the record contradicts, with what it says without that."""
+    posterior = equation.posterior
+    known = posterior if posterior.projected is None else posterior.projected
+    for j, mean, sd in selection.fit.constraints.stated:
+        stated, precision = sd**-2.0, known.sd[j] ** -2.0
+        alone = max(precision - stated, 1e-8 * precision)
+        value = (known.coef[j] * precision - mean * stated) / alone
+        if abs(value - mean) > CONTRADICTED * math.hypot(sd, alone**-0.5):
+            yield f"{posterior.names[j]} ~ {mean:.4g} +- {sd:.3g}", float(value)
 
 
 def _runners_up(fit: RegressionFit, posterior: Posterior) -> tuple[RunnerUp, ...]:
@@ -305,18 +335,15 @@ Said = Iterator[tuple[str, type[BayeqWarning]]]
 
 def warnings_of(equation: Equation, selection: Selection) -> Said:
     """What makes an equation less than it seems."""
-    posterior, details = equation.posterior, equation.posterior.details
+    details = equation.posterior.details
     if not details.converged:
         rhat = "" if details.rhat is None else f", multivariate R-hat {details.rhat:.3g}"
         yield f"the search was stopped early{rhat}: probabilities may be off; give fewer terms", ConvergenceWarning
     regression = selection.fit.regression
     if not regression.counts_rows and math.isnan(regression.exact):
         yield "whether the law is exact or only nearly true is not known: measure longer", ConvergenceWarning
-    own = posterior.coef if posterior.projected is None else posterior.projected.coef
-    for j, mean, sd in selection.fit.constraints.stated:
-        if abs(own[j] - mean) > CONTRADICTED * sd:
-            stated = f"{posterior.names[j]} ~ {mean:.4g} +- {sd:.3g}"
-            yield f"the record contradicts {stated}: it is {own[j]:.4g}; check both, or drop that", DataWarning
+    for text, value in _against_stated(equation, selection):
+        yield f"the record contradicts {text}: it says {value:.4g}; check both, or drop that", DataWarning
     force = _against(equation, regression.motion.roles.inputs)
     if force is not None:
         against = f"{force} acts against {equation.chain.names[0]}"

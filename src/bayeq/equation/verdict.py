@@ -208,6 +208,8 @@ def suspecting(verdict: Verdict, found: Suspect, seconds: float) -> Verdict:
             f"--band {1.0 / seconds:.1g}:{size:.3g} allows for that",
         ),
     }[found.off]
+    if verdict.kind == "none":
+        return replace(verdict, advice=f"{off}: {remedy}")
     advice = f"{CAREFUL}: {off}: {remedy}"
     if verdict.kind == "found":
         return Verdict("nearly true", f"other channels contradict {name}", advice)

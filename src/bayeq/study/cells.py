@@ -137,18 +137,15 @@ def timed(discover: Callable[[], Any], judge: Callable[[Any], Outcome]) -> Outco
         return {"cpu": time.process_time() - start, **judge(answer)}
 
 
-def judged(eqs: Any, laws: Sequence[Law] | None) -> Outcome:
+def judged(eqs: Any, laws: Sequence[Law]) -> Outcome:
     """An answer beside the true laws: coefficients by term of each equation, the constant under `CONSTANT`.
 
-    Laws are None where no dictionary holds them: then there are ``verdicts`` alone, else also ``E``, the error of the
-    coefficient matrix in the spectral norm, relative to the true one; ``exact``, whether the included terms of all
-    equations are the true ones; ``wrong``, terms too many and missed; ``false_found``, equations called found that show
-    a false term, or miss a true one that is above its stated bound; ``covered`` of ``intervals``, 95 % intervals of the
-    true terms that are included.
+    ``E``, the error of the coefficient matrix in the spectral norm, relative to the true one; ``exact``, whether the
+    included terms of all equations are the true ones; ``wrong``, terms too many and missed; ``false_found``, equations
+    called found that show a false term, or miss a true one that is above its stated bound; ``covered`` of
+    ``intervals``, 95 % intervals of the true terms that are included.
     """
     verdicts = [eq.verdict.kind for eq in eqs]
-    if laws is None:
-        return {"verdicts": verdicts}
     laws = [{parse(name).text: value for name, value in law.items()} for law in laws]
     found = [_coefficients(eq) for eq in eqs]
     names = list(dict.fromkeys(name for law in (*laws, *found) for name in law))
