@@ -292,6 +292,11 @@ def question_of(**asked: Any) -> Question:
     if is_library(dictionary):
         dictionary = terms_of(dictionary, variables.names)
     terms, allowed, roles = with_law_terms(*dictionaries_of(dictionary, roles, variables), roles)
+    if gain_sd and roles.hidden:
+        raise InputError(
+            "gain_sd: what a sensor's factor does to a hidden state is not known; leave it out, and scale the channel"
+            " by what is known"
+        )
     known = (given.constraints,) if isinstance(given.constraints, str) else tuple(given.constraints)
     parse_ties(known, terms, roles.targets, allowed=allowed)
     # what is wrong is said before the work

@@ -240,35 +240,45 @@ class Question:
         It is compared with that without ties, in an equation too, which is taken where the record contradicts them. An
         InputError says that only the likelihood of records in memory takes what is known.
         """
-        constrained = _constrained(known, design, self.method)
         dropped = {term.name: term.reason for term in design.dropped}
-        ties = parse_ties(known, design.terms, design.motion.roles.targets, dropped, design.allowed)
-        starts = [build_design(with_values_of(design.terms, one), one, allowed=design.allowed) for one in others]
-        asked = partial(self._likelihood, design, others=[one for one in starts if one.names == design.names])
-        refused = [] if self.conserved else [text for text in known if "==" in text]
-        left = tuple(text for text in known if text not in refused)
-        without = _constrained(left, design, self.method) if refused else constrained
         if not self.conserved:
             warn_of_sums(design, log)
-        free = asked(constraints=without, conserved=self.conserved or None)
-        needed = bool(self.conserved or ties) or any(one.stated for one in constrained)
-        if needed and (free is None or self.whole is not None):
-            raise InputError(
-                "constraints: ~, ties between equations and conserved sums are taken by the likelihood of the record in"
-                " memory: use smooth='auto', and choose rows (--rows) of a long file"
-            )
-        if not refused or free is None:
-            return free, tuple(known), constrained
-        record = asked(constraints=constrained, ties=[Stated(parts, value, 0.0) for _, parts, value in ties])
-        lost = math.inf if record is None else free.of_motion - record.of_motion
-        if lost < CONTRADICTED:
-            return record, tuple(known), constrained
-        log.warn(
-            f"the record contradicts {some_of(refused, 40, '; ')} (odds {odds_text(-lost)}): shown without;"
-            " check factors",
-            DataWarning,
-        )
-        return free, left, without
+        starts = [build_design(with_values_of(design.terms, one), one, allowed=design.allowed) for one in others]
+        beside = [one for one in starts if one.names == design.names]
+        fitted = partial(self._likelihood, design, conserved=self.conserved or None, others=beside)
+        equal = [text for text in known if "==" in text]
+
+        def given(applied: Sequence[str]) -> tuple[RecordFit | None, tuple[str, ...], tuple[Constraints, ...]]:
+            some = tuple(text for text in known if text in applied or text not in equal)
+            constrained = _constrained(some, design, self.method)
+            ties = parse_ties(some, design.terms, design.motion.roles.targets, dropped, design.allowed)
+            found = fitted(constraints=constrained, ties=[Stated(parts, value, 0.0) for _, parts, value in ties])
+            needed = self.conserved or ties or any(one.stated for one in constrained)
+            if needed and (found is None or self.whole is not None):
+                raise InputError(
+                    "constraints: ~, ties between equations and conserved sums are taken by the likelihood of the"
+                    " record in memory: use smooth='auto', and choose rows (--rows) of a long file"
+                )
+            return found, some, constrained
+
+        held = given(equal)
+        if not equal or held[0] is None:
+            return held
+        free = given(())
+
+        def lost(found: RecordFit | None) -> float:
+            return math.inf if found is None or free[0] is None else free[0].of_motion - found.of_motion
+
+        odds = lost(held[0])
+        if free[0] is None or odds < CONTRADICTED:
+            return held
+        kept = [text for text in equal if len(equal) > 1 and lost(given([text])[0]) < CONTRADICTED]
+        held = given(kept)
+        if lost(held[0]) >= CONTRADICTED:
+            kept, held = [], free
+        wrong = some_of([text for text in equal if text not in kept], 40, "; ")
+        log.warn(f"the record contradicts {wrong} (odds {odds_text(-odds)}): shown without; check factors", DataWarning)
+        return held
 
     def _by_record(self, records: Sequence[Record]) -> tuple[Question, list[Record]]:
         """The question with a candidate difference of each coefficient that may differ, and numbered records."""
@@ -318,16 +328,21 @@ class Question:
         if sensors.lags.keys() >= {*motion.roles.measured, *motion.roles.inputs}:
             raise InputError("lag_sd: only lags against other channels show: leave out a channel that is the clock")
         terms, known = _in_radians(self.terms, self.known, _units(pieces, motion.roles, WarningLog()), WarningLog())
-        terms, allowed = self._kept(terms, known, motion, WarningLog())
-        lags, moved = first_lags(motion, self._with_values(terms, motion)), math.inf
-        sensors = replace(sensors, lags=lags)
+
+        def design_of(motion: Motion) -> Design:
+            motion, *_ = self._with_hidden(motion, terms)
+            valued = self._with_values(with_values_of(terms, motion), motion)
+            kept, allowed = self._kept(valued, known, motion, WarningLog())
+            return build_design(kept, motion, allowed=allowed)
+
+        first = design_of(motion)
+        sensors, moved = replace(sensors, lags=first_lags(first.motion, first.terms)), math.inf
         for k in range(SENSOR_ROUNDS):
             self.step("sensors", k, SENSOR_ROUNDS)
             motion = estimate_motion(pieces, motion.roles, self.smooth, motion.holdout, sensors, self.band)
             if moved < SENSOR_FOUND:
                 break
-            design = build_design(self._with_values(terms, motion), motion, allowed=allowed)
-            sensors, moved = sensors_of_design(design, self.dictionary, self.prior)
+            sensors, moved = sensors_of_design(design_of(motion), self.dictionary, self.prior)
         return motion
 
     def _kept(

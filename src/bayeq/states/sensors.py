@@ -251,6 +251,9 @@ IN_G = (1.0 / GRAVITY, 1e-3 / GRAVITY, 1e-6 / GRAVITY, 1e-2 / GRAVITY)
 ANGLES = tuple(factor**sign for factor in (math.pi / 180.0, 2.0 * math.pi) for sign in (1, -1))
 OTHERS = tuple(10.0**k for k in range(-18, 19))
 
+# Factors between two channels below this are of no units.
+UNLIKE = 2.0
+
 # Orders of derivatives that can be compared: the window's own derivatives are written out up to here.
 MOST_ORDER = 2
 
@@ -268,6 +271,24 @@ def rates(chain: Chain, gains: Sequence[float]) -> tuple[float, ...]:
     """
     whole = tuple(gains) or (1.0,) * (chain.order + 1)
     return tuple(below / above for below, above in pairwise(whole))
+
+
+def of_no_unit(chain: Chain, gains: Sequence[float], units: Mapping[str, str]) -> tuple[str, str, float] | None:
+    """A channel, one below it, and by how much the first is too large or too small to be its derivative.
+
+    The gains are those of `unit_gains`; None where each is as stated, or may be of a unit that is not known.
+    """
+    measured = [(k, name) for k, name in enumerate(chain.measured[: len(gains)]) if name is not None]
+    for place, (k, name) in enumerate(measured[1:], 1):
+        found = []
+        for j, below in measured[:place]:
+            both = below in units and name in units
+            stated = derivative_ratio(units[below], units[name], k - j) if both else None
+            found.append((below, abs(gains[k] / gains[j]) / (stated or 1.0)))
+        below, off = min(found, key=lambda one: abs(math.log(one[1])))
+        if 1e-6 < abs(math.log(off)) < math.log(UNLIKE):
+            return name, below, off
+    return None
 
 
 def unit_gains(
