@@ -10,6 +10,7 @@ fitted in its place, and the likeliest is kept.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -153,6 +154,9 @@ def _elsewhere(motion: Motion, task: Task, fitted: Fitted, family: Sequence[int]
         return task, fitted
     here, *others = _on_gram(task, fitted, family, [now, *tried])
     least = BETTER + (here.score if here.score < here.fitted + MISLEADS else here.fitted)
+    # where the model lacks the terms, derivatives by their constants stand for them, and cost nothing
+    with_terms = [one.model.reshape(task.layout.chains, -1)[:, list(family)].any() for one in others]
+    tried, others = (list(itertools.compress(some, with_terms)) for some in (tried, others))
     peaks = [one for one in _peaks(tried, others) if one.score >= least]
     for node in sorted(peaks, key=lambda one: -one.score)[:PEAKS]:
         try:
@@ -168,8 +172,8 @@ def _elsewhere(motion: Motion, task: Task, fitted: Fitted, family: Sequence[int]
 
 def _peaks(tried: Sequence[Mapping[str, float]], nodes: Sequence[_Node]) -> list[_Node]:
     """Nodes that are likelier than those beside them, of one constant; of several the likeliest."""
-    if len(tried[0]) > 1:
-        return [max(nodes, key=lambda one: one.score)]
+    if not tried or len(tried[0]) > 1:
+        return sorted(nodes, key=lambda one: -one.score)[:1]
     order = sorted(range(len(nodes)), key=lambda k: next(iter(tried[k].values())))
     scores = np.concatenate([[-np.inf], [nodes[k].score for k in order], [-np.inf]])
     top = (scores[1:-1] >= scores[:-2]) & (scores[1:-1] >= scores[2:])
