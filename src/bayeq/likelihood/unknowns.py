@@ -155,8 +155,8 @@ def _elsewhere(motion: Motion, task: Task, fitted: Fitted, family: Sequence[int]
     here, *others = _on_gram(task, fitted, family, [now, *tried])
     least = BETTER + (here.score if here.score < here.fitted + MISLEADS else here.fitted)
     # where the model lacks the terms, derivatives by their constants stand for them, and cost nothing
-    with_terms = [one.model.reshape(task.layout.chains, -1)[:, list(family)].any() for one in others]
-    tried, others = (list(itertools.compress(some, with_terms)) for some in (tried, others))
+    present = [one.model.reshape(task.layout.chains, -1)[:, list(family)].any() for one in others]
+    tried, others = list(itertools.compress(tried, present)), list(itertools.compress(others, present))
     peaks = [one for one in _peaks(tried, others) if one.score >= least]
     for node in sorted(peaks, key=lambda one: -one.score)[:PEAKS]:
         try:
