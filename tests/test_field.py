@@ -81,6 +81,13 @@ def test_a_found_system_follows_both_trajectories():
     assert min(found["R2"]) > 0.99
 
 
+def test_an_answer_whose_model_cannot_be_fitted_by_itself():
+    """Terms that cancel each other to 1 %: as the likelihood about another model tells them."""
+    found = odebench.measure(("30", 0, "added 5", 1.0, "informed", "bayeq"), 470000)
+    assert "error" not in found
+    assert "found" not in found["verdicts"]
+
+
 @pytest.mark.parametrize(("system", "noise"), [("10", "added 5"), ("47", "added 1")])
 def test_constants_where_the_likelihood_is_not_finite_everywhere(system, noise):
     """Powers of what noise makes negative at some values; a step of constants that goes too far."""

@@ -219,6 +219,8 @@ class RecordFit:
     def _unshrunk(self) -> tuple[State, Floats]:
         """The same with constants given."""
         share, state = 1.0 if self.flat else LIKELIHOOD.unshrunk, self.fitted.state
+        if not self.own:  # the state is that of another model
+            state = with_model(self.task, self.fitted, self.fitted.model)
         task = replace(self.task, precision=share * self.task.precision, recent=[])
         included, q = np.flatnonzero(self.fitted.model), self.fitted.quadratic
         precision = task.precision[included]
@@ -229,11 +231,9 @@ class RecordFit:
             theta = covariance @ q.slope[included]
             moved = np.abs(theta - state.theta) / np.sqrt(np.diagonal(covariance))
             if self.more is None and moved.max(initial=0.0) > HARDLY:
-                try:
-                    state = fit(task, state, coarse=True).state
-                    return state, task.marginal(state).covariance / self.fitted.power
-                except np.linalg.LinAlgError:  # far from any motion
-                    state = self.fitted.state
+                with suppress(np.linalg.LinAlgError):  # far from any motion
+                    there = fit(task, state, coarse=True).state
+                    return there, task.marginal(there).covariance / self.fitted.power
             return replace(state, theta=theta), covariance
 
     @cached_property
