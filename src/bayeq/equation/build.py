@@ -45,7 +45,7 @@ from bayeq.likelihood.channels import Suspect
 from bayeq.numerics.settings import EQUATION
 from bayeq.records.names import in_si, parse_unit
 from bayeq.regression.fit import RegressionFit
-from bayeq.regression.regression import Regression, changes_by_noise, inputs_of_hidden_noise
+from bayeq.regression.regression import RecordRegression, Regression, changes_by_noise, inputs_of_hidden_noise
 from bayeq.states import Motion
 from bayeq.states.sensors import of_no_unit
 
@@ -163,7 +163,7 @@ def build_equation(selection: Selection, window: tuple[float, str] | None) -> Eq
 def _of_hidden(regression: Regression) -> Verdict:
     """The verdict on the law of a hidden state that was found: the equations that it is in are judged by the record."""
     z, target = regression.chain.names[0], regression.chain.target
-    if regression.record is not None and regression.record.flat:
+    if isinstance(regression, RecordRegression) and regression.record.flat:
         same = f"sums of {z} and other terms in place of {z} say the same of what is measured"
         return Verdict("not determined", same, f"give {target} fewer terms")
     return Verdict("found", f"{z} is judged by the equations that it is in")
@@ -231,7 +231,7 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
     gains = zip(equation.chain.measured, equation.unit_gains, strict=False)
     reversed_channel = next((name for name, gain in gains if name is not None and gain < 0.0), None)
     left, dependent = equation.residuals, None
-    if regression.record is None and equation.train.nrmse > LEAST_SHOWN and left.n_eff < EQUATION.independent * left.n:
+    if regression.counts_rows and equation.train.nrmse > LEAST_SHOWN and left.n_eff < EQUATION.independent * left.n:
         dependent = left.n_eff, left.n  # of rows as measured most do not tell anything new
     verdict = doubted(
         equation.verdict,
@@ -261,7 +261,7 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
     refused += [text for text, _ in _against_stated(equation, selection)]
     if refused and verdict.kind != "none":
         return Verdict("not determined", f"the record contradicts {some_of(refused, 60)}", "check units, or drop that")
-    if regression.record is not None and regression.record.rivals and verdict.kind != "none":
+    if isinstance(regression, RecordRegression) and regression.record.rivals and verdict.kind != "none":
         other = ", ".join(f"{name} = {value:.4g}" for name, value in regression.record.rivals[0].items())
         return Verdict("not determined", f"as likely with {other}", "give narrower ranges, as in {a: 0.1..1}")
     if equation.posterior.details.converged or verdict.kind in ("none", "not determined"):
@@ -296,7 +296,7 @@ def _against_stated(equation: Equation, selection: Selection) -> Iterator[tuple[
 
 
 def _runners_up(fit: RegressionFit, posterior: Posterior) -> tuple[RunnerUp, ...]:
-    if fit.regression.record is not None and fit.regression.record.task.flows is not None:
+    if isinstance(fit.regression, RecordRegression) and fit.regression.record.task.flows is not None:
         return ()  # what an equation by itself tells is not what the sum leaves
     problem, limits, shown, names = fit.problem, fit.prior.limits, posterior.support, posterior.names
     moves = neighbours(problem, shown, RUNNER_UP_WINDOW)
@@ -339,7 +339,7 @@ def warnings_of(equation: Equation, selection: Selection) -> Said:
         rhat = "" if details.rhat is None else f", multivariate R-hat {details.rhat:.3g}"
         yield f"the search was stopped early{rhat}: probabilities may be off; give fewer terms", ConvergenceWarning
     regression = selection.fit.regression
-    if regression.record is not None and math.isnan(regression.exact):
+    if not regression.counts_rows and math.isnan(regression.exact):
         yield "whether the law is exact or only nearly true is not known: measure longer", ConvergenceWarning
     for text, value in _against_stated(equation, selection):
         yield f"the record contradicts {text}: it says {value:.4g}; check both, or drop that", DataWarning

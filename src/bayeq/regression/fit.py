@@ -36,7 +36,7 @@ from bayeq.numerics.distributions import Z95, t_quantile
 from bayeq.numerics.settings import REGRESSION
 from bayeq.regression.constraints import Constraints
 from bayeq.regression.design import Design
-from bayeq.regression.regression import Regression, calibrated
+from bayeq.regression.regression import RecordRegression, Regression, calibrated
 from bayeq.states import Sensors
 
 
@@ -140,7 +140,7 @@ def fit_regression(
     regression = regression.raised(coarsen)
     reduced = constraints.equalities.reduce(regression.gram)
     standard = reduced.standardise(residual_scale(reduced))
-    if tolerance and isinstance(standard.gram, Gram) and regression.record is None:
+    if tolerance and isinstance(standard.gram, Gram) and regression.counts_rows:
         standard = replace(standard, gram=softened_rows(standard.gram, tolerance))
     used = constraints.prior(prior or Prior(), standard.scale / standard.target_scale)
     if prior is None:
@@ -345,7 +345,7 @@ def fit_equations(
     There is one regression, and one of the constraints, per equation. The method is a row of
     `bayeq.inference.engines.ENGINES`; what follows is as for `bayeq.regression.fit.fit_regression`.
     """
-    record = regressions[0].record
+    record = regressions[0].record if isinstance(regressions[0], RecordRegression) else None
     free = prior is None and coarsen == 1.0 and not any(one.binding for one in constraints)
     if record is not None and method in JOINT and free:
         return [_equation(one, record, own, method) for one, own in zip(regressions, constraints, strict=True)]
@@ -368,13 +368,13 @@ def refitted(fits: Sequence[RegressionFit], models: Sequence[Bools]) -> list[Reg
 
     None where rows count, or where equalities tie coefficients: these have no fit of their own.
     """
-    first = fits[0].regression.record
-    if first is None or any(len(one.constraints.equalities.eliminated) for one in fits):
+    first = fits[0].regression
+    if not isinstance(first, RecordRegression) or any(len(one.constraints.equalities.eliminated) for one in fits):
         return None
-    model = first.fitted.model.copy()
+    model = first.record.fitted.model.copy()
     for k, own in enumerate(models):
-        model[first.block(k)][:-1] = own
-    record = first.about(model)
+        model[first.record.block(k)][:-1] = own
+    record = first.record.about(model)
     return [
         replace(
             one,
@@ -383,6 +383,7 @@ def refitted(fits: Sequence[RegressionFit], models: Sequence[Bools]) -> list[Reg
             posterior=_judged(one.posterior, record, k),
         )
         for k, one in enumerate(fits)
+        if isinstance(one.regression, RecordRegression)
     ]
 
 

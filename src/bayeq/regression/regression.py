@@ -1,6 +1,6 @@
-"""`Regression`: one equation's rows, from which its Gram, residuals and fits come.
+"""`Regression`: one equation's rows, from which its Gram, residuals and fits come; rows as measured count as data.
 
-Rows as measured count as data, or the likelihood of the records does.
+`RecordRegression` is what the likelihood of the records makes of them.
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -40,7 +41,7 @@ BANDS, HIGHEST, FLOOR, LEAST_ROWS = 40, 6, 0.1, 400
 
 @dataclass(frozen=True, eq=False)
 class Regression:
-    """The regression of one target on the dictionary, by rows or by the likelihood of the records."""
+    """The regression of one target on the dictionary; `RecordRegression` is that of the likelihood."""
 
     design: Design  # the dictionary on the motion
     k: int  # number of the chain whose highest derivative is the target
@@ -49,8 +50,9 @@ class Regression:
     rows: Gram
     held_out: Gram | None
     gram: Gram  # what counts as data
-    record: RecordFit | None = None  # the likelihood; None where rows count
-    power: float = 1.0  # that `gram` is raised to
+
+    # Whether rows count as data: the likelihood of the records counts samples.
+    counts_rows: ClassVar[bool] = True
 
     @classmethod
     def of(cls, design: Design, k: int) -> Regression:
@@ -72,104 +74,71 @@ class Regression:
         return self.motion.roles.chains[self.k]
 
     @property
-    def _channels(self) -> list[str]:
-        """Measured channels of the coordinate."""
-        return [name for name in self.chain.measured if name is not None]
-
-    @property
     def exact(self) -> float:
         """Probability that the law lacks nothing, or nothing beyond the tolerance; NaN where that is not known."""
-        return math.nan if self.record is None else self.record.nearly.exact[self.k]
+        return math.nan
 
     @property
     def tau(self) -> float:
         """Most probable size of what a law lacks that is nearly true, as a share of the target's standard deviation."""
-        return 0.0 if self.record is None else self.record.nearly.tau[self.k]
+        return 0.0
 
     @property
     def factors(self) -> tuple[tuple[str, ...], Floats]:
-        """Channels whose factors may be off, and the covariance of these: of rows as it was given.
-
-        Of the likelihood other channels of a chain tell of them.
-        """
-        if self.record is not None:
-            return tuple(self.record.calibration.gains), self.record.calibration.covariance
+        """Channels whose factors may be off, and the covariance of these: of rows as it was given."""
         known = {name: sd for name, sd in self.motion.sensors.gain_sd.items() if sd}
         return tuple(known), np.diag(np.square(list(known.values())))
 
     @property
     def suspect(self) -> Suspect | None:
         """A channel that others contradict, or that was filtered; None of rows."""
-        channels = [*self._channels, *self.motion.roles.inputs]
-        return None if self.record is None else self.record.adequacy.suspect(channels)
+        return None
 
     @property
     def constants(self) -> tuple[ConstantEstimate, ...]:
         """Constants inside the candidates, which the likelihood of the records finds."""
-        return () if self.record is None else self.record.constants(self.k, self.power)
+        return ()
 
     @property
     def forms(self) -> Forms:
         """Log posteriors of the members of every either-or, found by the same."""
-        return {} if self.record is None else self.record.forms
+        return {}
 
     @property
     def discrepancy(self) -> float | None:
         """Standard deviation of the discrepancy as a share of the target's; None of rows."""
-        return None if self.record is None else float(self.record.kappa[self.k])
+        return None
 
     @property
     def through_motion(self) -> bool:
-        """Whether data tell of the target, which is not measured, by the motion alone that it leads to."""
-        return self.record is not None and self.chain.measured[-1] is None
+        """Whether data tell of the target by the motion alone that it leads to."""
+        return False
 
     def tests(self) -> tuple[Discrepancy | None, Octave | None, Change | None]:
         """A discrepancy that the motion needs, innovations that are not white, a coefficient that changes; none of
         rows."""
-        if self.record is None:
-            return None, None, None
-        adequacy = self.record.adequacy
-        return adequacy.lacks(self.k), adequacy.coloured(self._channels), adequacy.changing(self.k)
+        return None, None, None
 
     @property
     def shape(self) -> Shape | None:
         """The shape of what is left of the channels of the chain; None of rows."""
-        shapes = [] if self.record is None else [self.record.adequacy.shapes[name] for name in self._channels]
-        return min(shapes, key=lambda one: one.normality, default=None)
+        return None
 
     def hides_noise(self, name: str) -> bool:
         """Whether the record does not tell the noise of an input; of rows its highest frequencies do."""
-        if self.record is not None:
-            return name not in self.record.inputs_of_known_noise
         return not shows_noise([rows.columns[name] for rows in self.motion.train])
 
     def reported(self, found: Posterior, basis: Floats, limits: Floats | None, free: bool) -> Posterior:
         """A posterior in original units, of all P terms with r in its support, as it is reported.
 
         Coefficients move with those that are free as `basis`, (r, f), says; limits, (P, 2), are the least and largest,
-        and `free` says that none of them changes the posterior. Of the terms that the record was fitted with it is by
-        projection.
+        and `free` says that none of them changes the posterior.
         """
-        record = self.record
-        if record is None:
-            return found
-        found = replace(found, constant=replace(found.constant, variance=found.noise_variance / found.n))
-        block = record.block(self.k)
-        model = record.fitted.model[block]
-        if record.task.flows is not None and bool((model[:-1] == found.support).all()):
-            theta, both = record.balanced
-            own = np.flatnonzero(model) + block.start
-            found = _with_constant(found, theta[own], both[np.ix_(own, own)])
-        elif self.power == 1.0 and record.projectable(self.k, found.support):
-            found = _projected(record, self.k, found, basis, limits, free)
-        return replace(found, noise_variance=self.noise_variance(found))
+        return found
 
     def thinned(self) -> Regression:
-        """The regression with rows that count for the effective sample size, where their residuals are correlated.
-
-        Samples count by their noise, in the likelihood.
-        """
-        if self.record is not None or len(self.design.terms) > REGRESSION.most_terms_to_thin:
+        """The regression with rows that count for the effective sample size, where their residuals are correlated."""
+        if len(self.design.terms) > REGRESSION.most_terms_to_thin:
             return self
         return replace(self, gram=thinned_gram(self.gram, self._all_residuals))
 
@@ -180,7 +149,7 @@ class Regression:
 
     def raised(self, power: float) -> Regression:
         """The regression with the likelihood raised to a power of at most 1."""
-        return replace(self, gram=self.gram.raised(power), power=self.power * power)
+        return replace(self, gram=self.gram.raised(power))
 
     def fit(self, posterior: Posterior) -> Fit:
         """How well a posterior (in original units) gives the target on the training rows."""
@@ -292,47 +261,123 @@ def regressions_of(design: Design, record: RecordFit | None) -> list[Regression]
     chains = range(len(design.motion.roles.chains))
     if record is None:
         return [Regression.of(design, k) for k in chains]
-    return [Regression(design, k, *judged_by(design, k), record.standards[k].source, record) for k in chains]
+    return [RecordRegression(design, k, *judged_by(design, k), record.standards[k].source, record) for k in chains]
 
 
-def _projected(
-    record: RecordFit, k: int, found: Posterior, basis: Floats, limits: Floats | None, free: bool
-) -> Posterior:
-    """The posterior by projection (`bayeq.likelihood.projection`).
+@dataclass(frozen=True, eq=False)
+class RecordRegression(Regression):
+    """The regression of one target by the likelihood of the records."""
 
-    What is not `free`, coefficients with limits, stays as it is but for the discrepancy, as far as limits allow.
-    """
-    kept, left = found.support, record.leftover(k)
-    (theta, covariance), r = record.own_coefficients(k), int(kept.sum())
-    with_constant = len(theta) > r
-    whole = np.zeros((len(theta), basis.shape[1] + with_constant))
-    whole[:r, : basis.shape[1]] = basis
-    whole[r:, basis.shape[1] :] = 1.0
-    if not free or basis.shape[1] < r:
-        carried = found.covariance @ found.constant.center[kept]
-        whole_covariance = np.block(
-            [[found.covariance, -carried[:, None]], [-carried[None], np.array([[found.intercept_sd**2]])]]
+    record: RecordFit  # the likelihood
+    power: float = 1.0  # that `gram` is raised to
+
+    counts_rows: ClassVar[bool] = False
+
+    @property
+    def exact(self) -> float:
+        return self.record.nearly.exact[self.k]
+
+    @property
+    def factors(self) -> tuple[tuple[str, ...], Floats]:
+        """As of `Regression`: other channels of a chain tell of them."""
+        found = self.record.calibration
+        return tuple(found.gains), found.covariance
+
+    @property
+    def suspect(self) -> Suspect | None:
+        return self.record.adequacy.suspect([*filter(None, self.chain.measured), *self.motion.roles.inputs])
+
+    @property
+    def tau(self) -> float:
+        return self.record.nearly.tau[self.k]
+
+    @property
+    def constants(self) -> tuple[ConstantEstimate, ...]:
+        return self.record.constants(self.k, self.power)
+
+    @property
+    def forms(self) -> Forms:
+        return self.record.forms
+
+    @property
+    def discrepancy(self) -> float | None:
+        return float(self.record.kappa[self.k])
+
+    @property
+    def through_motion(self) -> bool:
+        """As of `Regression`: of a target that is not measured."""
+        return self.chain.measured[-1] is None
+
+    def tests(self) -> tuple[Discrepancy | None, Octave | None, Change | None]:
+        adequacy = self.record.adequacy
+        channels = [name for name in self.chain.measured if name is not None]
+        return adequacy.lacks(self.k), adequacy.coloured(channels), adequacy.changing(self.k)
+
+    @property
+    def shape(self) -> Shape | None:
+        shapes = [self.record.adequacy.shapes[name] for name in self.chain.measured if name is not None]
+        return min(shapes, key=lambda one: one.normality) if shapes else None
+
+    def hides_noise(self, name: str) -> bool:
+        return name not in self.record.inputs_of_known_noise
+
+    def thinned(self) -> Regression:
+        """The same: samples count by their noise."""
+        return self
+
+    def raised(self, power: float) -> Regression:
+        """The regression with the likelihood raised to a power of at most 1."""
+        return replace(self, gram=self.gram.raised(power), power=self.power * power)
+
+    def reported(self, found: Posterior, basis: Floats, limits: Floats | None, free: bool) -> Posterior:
+        """As of `Regression`: of the terms that the record was fitted with by projection."""
+        found = replace(found, constant=replace(found.constant, variance=found.noise_variance / found.n))
+        block = self.record.block(self.k)
+        model = self.record.fitted.model[block]
+        if self.record.task.flows is not None and bool((model[:-1] == found.support).all()):
+            theta, both = self.record.balanced
+            own = np.flatnonzero(model) + block.start
+            found = _with_constant(found, theta[own], both[np.ix_(own, own)])
+        elif self.power == 1.0 and self.record.projectable(self.k, found.support):
+            found = self._projected(found, basis, limits, free)
+        return replace(found, noise_variance=self.noise_variance(found))
+
+    def _projected(self, found: Posterior, basis: Floats, limits: Floats | None, free: bool) -> Posterior:
+        """The posterior by projection (`bayeq.likelihood.projection`).
+
+        What is not `free`, coefficients with limits, stays as it is but for the discrepancy, as far as limits allow.
+        """
+        kept, left = found.support, self.record.leftover(self.k)
+        (theta, covariance), r = self.record.own_coefficients(self.k), int(kept.sum())
+        with_constant = len(theta) > r
+        whole = np.zeros((len(theta), basis.shape[1] + with_constant))
+        whole[:r, : basis.shape[1]] = basis
+        whole[r:, basis.shape[1] :] = 1.0
+        if not free or basis.shape[1] < r:
+            carried = found.covariance @ found.constant.center[kept]
+            whole_covariance = np.block(
+                [[found.covariance, -carried[:, None]], [-carried[None], np.array([[found.intercept_sd**2]])]]
+            )
+            theta = np.append(found.coef[kept], found.intercept)[: len(theta)]
+            covariance = whole_covariance[: len(theta), : len(theta)]
+        moved = projected(left, whole)
+        change = moved.change
+        if limits is not None:
+            low, high = np.vstack([limits[kept], np.tile([-np.inf, np.inf], (int(with_constant), 1))]).T
+            change = np.where(theta + change < low, low - theta, change)
+            change = np.where(theta + change > high, high - theta, change)
+        both = covariance + moved.covariance
+        added, total = np.diagonal(moved.covariance), np.diagonal(both)
+        # Satterthwaite, of a part that is known and one that is estimated
+        freedom = moved.freedom * (total / np.maximum(added, 1e-9 * total + np.finfo(float).tiny)) ** 2
+        own, sd = np.zeros((2, len(kept)))
+        own[kept], sd[kept] = theta[:r], np.sqrt(np.diagonal(covariance))[:r]
+        every = np.full(len(kept), np.inf)
+        every[kept] = np.maximum(freedom[:r], LEAST_FREEDOM)
+        found = replace(
+            found, projected=Projected(own, sd, every, moved.share, moved.share * math.sqrt(left.target), left.lines)
         )
-        theta = np.append(found.coef[kept], found.intercept)[: len(theta)]
-        covariance = whole_covariance[: len(theta), : len(theta)]
-    moved = projected(left, whole)
-    change = moved.change
-    if limits is not None:
-        low, high = np.vstack([limits[kept], np.tile([-np.inf, np.inf], (int(with_constant), 1))]).T
-        change = np.where(theta + change < low, low - theta, change)
-        change = np.where(theta + change > high, high - theta, change)
-    both = covariance + moved.covariance
-    added, total = np.diagonal(moved.covariance), np.diagonal(both)
-    # Satterthwaite, of a part that is known and one that is estimated
-    freedom = moved.freedom * (total / np.maximum(added, 1e-9 * total + np.finfo(float).tiny)) ** 2
-    own, sd = np.zeros((2, len(kept)))
-    own[kept], sd[kept] = theta[:r], np.sqrt(np.diagonal(covariance))[:r]
-    every = np.full(len(kept), np.inf)
-    every[kept] = np.maximum(freedom[:r], LEAST_FREEDOM)
-    found = replace(
-        found, projected=Projected(own, sd, every, moved.share, moved.share * math.sqrt(left.target), left.lines)
-    )
-    return _with_constant(found, theta + change, both)
+        return _with_constant(found, theta + change, both)
 
 
 def _with_constant(found: Posterior, theta: Floats, both: Floats) -> Posterior:
