@@ -283,6 +283,21 @@ def test_equations_without_or_with_several_of_second_order():
     assert both.physical(target="a")["omega_n"].mean == pytest.approx(3.0, rel=0.01)
 
 
+@pytest.mark.filterwarnings("ignore:.*no equation found:bayeq.errors.DataWarning")  # the rows are no motion
+@pytest.mark.parametrize(("unit", "mass"), [("N", True), ("", True), ("mm", False), ("deg", False), ("m/s^2", False)])
+def test_what_moves_a_base_is_no_force(unit, mass):
+    rng = np.random.default_rng(0)
+    x = rng.normal(size=(300, 5))
+    u, *states = x.T
+    a, b = -9.0 * states[0] - 0.1 * states[2] + 2.0 * states[1] + 5.0 * u, 4.0 * states[0] - 16.0 * states[1]
+    channels = dict(zip(("x", "y", "v", "w"), states, strict=True)) | {"a": a, "b": b - 0.1 * states[3], "u": u}
+    noisy = {name: one + 0.01 * rng.normal(size=300) for name, one in channels.items()}
+    record = bq.Record.from_arrays(noisy, fs=10.0, units={"u": unit} if unit else {})
+    dictionary = {"a": "x, y, v, u", "b": "x, y, w"}
+    both = bq.discover(record, chains=["x:v:a", "y:w:b"], inputs=["u"], dictionary=dictionary, smooth="none")
+    assert ("m_1" in {one.symbol for one in both.physical()}) == mass
+
+
 def test_an_angle_from_the_upright_position_is_no_stand_off():
     n = 1500
     rng, angle, rate, angles = np.random.default_rng(4), math.pi - 1.0, 0.0, []

@@ -33,6 +33,7 @@ from bayeq.expressions.nodes import jumps_of
 from bayeq.figures.style import named
 from bayeq.forecast.dynamics import Law, moments, normal_draws
 from bayeq.numerics.distributions import Z95
+from bayeq.records.names import in_si, parse_unit
 from bayeq.states import Chain
 
 if TYPE_CHECKING:
@@ -175,8 +176,10 @@ def physical_parameters(
             " damping: it has no parameters of an oscillator or a drive"
         )
     driven = _force(inputs, coefficients, force)
-    if driven is not None and force is None and mass is None and np.quantile(coefficients[driven], 0.975) < 0.0:
-        driven = None  # against the motion, or what moves a base: it says nothing of the mass
+    if driven is not None and force is None and mass is None:
+        against = np.quantile(coefficients[driven], 0.975) < 0.0
+        # against the motion, or what moves a base: it says nothing of the mass
+        driven = None if against or _is_motion(units.get(driven, "")) else driven
     system = OscillatorUnits(units, law.chain, law.unit_gains, driven, mass is not None)
     theta = {f.symbol: coefficients[f.term] * system.scale(f.powers) for f in forces}
     mixed = [name for name in coefficients if _is_mixed(parse(name), law.chain.states, [*inputs, TIME])]
@@ -338,6 +341,8 @@ def system_parameters(
                 linear[:, i] += drawn[:, None] * tangent * per_state * scale.per_length / scale.acceleration
             if slope is not None:
                 continue
+            if term.text in inputs and _is_motion(units.get(term.text, "")):
+                continue
             if term.text in inputs:
                 driven.setdefault(term.text, {})[i] = drawn * scale.scale_force()
             elif term.text not in unexplained:
@@ -347,6 +352,12 @@ def system_parameters(
     found, modes = ([], []) if mixed else _modes(linear, [law.chain.names[0] for law in laws])
     found += _matrices(linear, driven, laws, scales)
     return PhysicalParameters(tuple(found), tuple(unexplained), tuple(modes), note)
+
+
+def _is_motion(unit: str) -> bool:
+    """Whether an input in a unit is the motion of a base, and no force."""
+    si = in_si(parse_unit(unit)) if unit else None
+    return si is not None and not si[1].get("N")
 
 
 def _names(law: Law) -> set[str]:
