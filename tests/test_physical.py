@@ -294,7 +294,8 @@ def test_what_moves_a_base_is_no_force(unit, mass):
     noisy = {name: one + 0.01 * rng.normal(size=300) for name, one in channels.items()}
     record = bq.Record.from_arrays(noisy, fs=10.0, units={"u": unit} if unit else {})
     dictionary = {"a": "x, y, v, u", "b": "x, y, w"}
-    both = bq.discover(record, chains=["x:v:a", "y:w:b"], inputs=["u"], dictionary=dictionary, smooth="none")
+    asked = {"dictionary": dictionary, "smooth": "none", "noise": {"u": 0.01}}
+    both = bq.discover(record, chains=["x:v:a", "y:w:b"], inputs=["u"], **asked)
     assert ("m_1" in {one.symbol for one in both.physical()}) == mass
 
 
