@@ -54,6 +54,16 @@ def test_lag_of_a_force_is_learned(late, answer):
         assert name not in ("x", "v", "x**3") or low < truth[name] < high
 
 
+def test_rows_whose_input_a_lag_has_moved_out_of_the_record_test_nothing():
+    record = bq.simulate("duffing", n=1240, seed=1)
+    channels = {**{name: record[name][40:] for name in "xva"}, "u": record["u"][:-40]}
+    late = bq.Record.from_arrays(channels, time=record.time[40:])
+    found = quietly(late, dictionary="x, v, x**3, u", lag_sd={"u": 0.04})
+    assert found.data.sensors.lags["u"].value == pytest.approx(0.04, abs=1e-3)
+    assert found.scores.rows in (199, 200)  # of 240 held out
+    assert max(found.scores.free_run.values()) < 0.1
+
+
 def test_without_it_the_damping_is_wrong(late, answer):
     record, truth, _ = late
     untold = quietly(record, dictionary=list(truth), holdout=0.0)

@@ -65,10 +65,19 @@ def rows_of(motion: Motion, purpose: str, interpolation: Courses | None = None) 
 
 
 def divided(motion: Motion, records: Sequence[Rows]) -> tuple[list[Rows], list[Rows]]:
-    """Training rows of each record, and the rows held out of each that has some."""
-    pairs = list(zip(records, motion.cuts, strict=True))
-    train = [rows.part(slice(0, cut)) for rows, cut in pairs]
-    return train, [rows.part(slice(cut, rows.n)) for rows, cut in pairs if cut < rows.n]
+    """Training rows of each record, and the rows held out of each that has some; without ends that lack an input.
+
+    As a lag that was taken out leaves them: what is put there in its place drives no run.
+    """
+    train, held_out = [], []
+    for rows, cut in zip(records, motion.cuts, strict=True):
+        inputs = [np.isfinite(rows.samples[name]) for name in motion.roles.inputs]
+        driven = np.flatnonzero(np.all(inputs, axis=0)) if inputs else np.arange(rows.n)
+        first, stop = (int(driven[0]), int(driven[-1]) + 1) if len(driven) else (0, 0)
+        train.append(rows.part(slice(first, min(cut, stop))))
+        if cut < stop:
+            held_out.append(rows.part(slice(max(cut, first), stop)))
+    return train, held_out
 
 
 def between(roles: Roles, time: Floats, columns: Mapping[str, Floats], kind: Courses) -> Floats:
