@@ -88,6 +88,11 @@ def test_an_answer_whose_model_cannot_be_fitted_by_itself():
     assert "found" not in found["verdicts"]
 
 
+def test_models_listed_hold_no_more_than_all_of_the_probability():
+    """That of those left out was 1 less a sum that rounding had made larger than 1."""
+    assert "error" not in odebench.measure(("48", 1, "multiplied 5", 1.0, "informed", "bayeq"), 470000)
+
+
 @pytest.mark.parametrize(("system", "noise"), [("10", "added 5"), ("47", "added 1")])
 def test_constants_where_the_likelihood_is_not_finite_everywhere(system, noise):
     """Powers of what noise makes negative at some values; a step of constants that goes too far."""

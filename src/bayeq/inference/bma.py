@@ -157,7 +157,7 @@ def spike_slab_bma(
         inside = shares(found.models[:enough], share)
         lacking = np.where(inside > 0.0, pip / np.where(inside > 0.0, inside, 1.0), 0.0)
         mean, square = mean * lacking, square * lacking
-    support, kept = pip > 0.5, float(weights[:MOST_KEPT].sum()) if len(weights) > MOST_KEPT else 1.0
+    support, kept = pip > 0.5, min(float(weights[:MOST_KEPT].sum()), 1.0) if len(weights) > MOST_KEPT else 1.0
     coef, conditional = exact_posterior(problem, support, limits)
     listed = ModelAverage(
         models=found.models[:MOST_KEPT],
