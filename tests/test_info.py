@@ -20,6 +20,7 @@ from bayeq.inspection.channels import bars, spectrum
 from bayeq.inspection.roles import INPUT, REFERENCE, STATE, clue_of
 from tests.data import measured, pendulum_record
 from tests.draws import draws
+from tests.headers import oscillator
 
 FS = 200.0
 
@@ -689,3 +690,46 @@ def test_days_weeks_and_years_are_time(name):
     k = np.arange(80.0)
     found = bq.info(bq.Record({name.replace(" ", "_"): k, "x": np.sin(k)}))
     assert found.experiments.time == name.replace(" ", "_")
+
+
+def test_a_channel_without_a_word_or_unit_does_not_push_a_motion_out():
+    made = oscillator()
+    t, x, force = made["t"], made["x"], made["F"]
+    switches = {"Trigger": 5.0 * (t > 1.0), "Status": 1.0 * (t % 3 > 1.5)}
+    for motion_of in ("Laser_1", "Weg_vorne", "c1"):
+        for name, switch in switches.items():
+            units = {"c1": "mm"} if motion_of == "c1" else {}
+            guess = bq.info(bq.Record({motion_of: x, "Force": force, name: switch}, t, units)).guess
+            assert (guess.chains, guess.inputs) == (((motion_of, None, None),), ("Force",))
+            assert guess.undecided == (name,)
+
+
+def test_short_arrays_are_named_and_settings_are_not(tmp_path):
+    t, x, v, _ = motion(1000)
+    path = tmp_path / "run.mat"
+    for others in ({"T": x[:100]}, {"slow": {"time": t[::20], "T": x[::20]}}):
+        scipy.io.savemat(path, {"t": t, "x": x, "v": v, "masses": x[:3], **others})
+        with pytest.warns(bq.DataWarning, match=r"of arrays of 1000 samples; there are others: (T|slow\.time) \("):
+            found = bq.info(path)
+        assert list(found.channels) == ["x", "v"]
+    scipy.io.savemat(path, {"t": t, "x": x, "v": v, "w": x[:900], "masses": x[:3], **{f"k{i}": x[:50] for i in range(5)}})
+    found = bq.info(path)
+    assert list(found.channels) == ["x", "v"]
+    assert "there are others: w (900), k0 (50)" in found.findings[0]
+    scipy.io.savemat(path, {"t": t, "x": x, "v": v, "masses": x[:3]})
+    assert bq.read(path).names == ("x", "v")
+
+
+def test_impossible_samples_are_missing_ones_as_in_discover():
+    t, x, _, a = motion()
+    x[100], a[200] = np.inf, 1e300
+    found = bq.info(bq.Record({"x": x, "a": a}, t, {"x": "m", "a": "m/s^2"}))
+    assert found.guess.chains == (("x", None, "a"),)
+    assert found.channels["a"].greatest < 1e6
+    assert "a: 1 sample is infinite or beyond 1e+50 (row 201): taken as missing" in " ".join(found.findings)
+
+
+@pytest.mark.parametrize("size", [1e160, 1e-200])
+def test_huge_and_tiny_numbers_are_described(size):
+    made = oscillator()
+    assert bq.info(bq.Record({"x": made["x"] * size, "F": made["F"]}, made["t"])).guess.inputs == ("F",)

@@ -426,9 +426,11 @@ def _chains(
         n for n in rest if clues[n].order in (0, 2) or (clues[n].order == 1 and not (compared and clues[n].symbol))
     ]
     states = [n for n in rest if clues[n].order == STATE and not found and not motion]
-    # one symbol that others explain may be a position under control as well
+    # beside a motion by its unit or a word a channel without either is a trigger or the like, whatever explains it; one
+    # symbol that others explain may be a position under control as well
     explained = [n for n in rest if n in first and not clues[n].by_unit and clues[n].order != STATE]
-    if len(explained) > 1 or all(clues[name].order is None for name in explained):
+    surer = found or any(not clues[n].symbol and n not in explained for n in motion)
+    if not surer and (len(explained) > 1 or all(clues[name].order is None for name in explained)):
         states += explained
     for name in states:
         share = f": the channels explain {100 * min(first[name], 0.999):.1f} % of its changes" if name in first else ""

@@ -23,7 +23,7 @@ from bayeq.records.repair import GAP, LONG_GAP
 from bayeq.records.validate import SECONDS, in_seconds
 from bayeq.states import Roles
 from bayeq.states.bad_samples import ADVICE, find_bad_samples
-from bayeq.states.kinematic.smoother import LARGEST
+from bayeq.states.derive import LARGEST
 
 Ints = NDArray[np.intp]
 
@@ -231,8 +231,9 @@ def find_bad(records: Sequence[Record], guess: Guess, names: Sequence[str]) -> t
             stays = (np.flatnonzero(values == clipping.level) + 1).tolist()
             found.setdefault(name, {}).setdefault("clipped", []).extend(stays)
     timed = all(record.time is not None for record in records)
-    # a square of what is larger is infinite
-    names = [name for name in names if all(np.nanmax(np.abs(r[name]), initial=0.0) <= LARGEST for r in records)]
+    # a square of what is larger is infinite, of what is smaller zero
+    sizes = {name: max(float(np.nanmax(np.abs(r[name]), initial=0.0)) for r in records) for name in names}
+    names = [name for name in names if 1 / LARGEST <= sizes[name] <= LARGEST]
     if not names or not timed:
         return found, 0
     looked, first = 0, 0
