@@ -15,9 +15,10 @@ from hypothesis import strategies as st
 
 import bayeq as bq
 from bayeq.cli.app import main
-from bayeq.errors import FileFormatError, InputError, RecordError
+from bayeq.errors import DataWarning, FileFormatError, InputError, RecordError
 from bayeq.inspection.channels import bars, spectrum
 from bayeq.inspection.roles import INPUT, REFERENCE, STATE, clue_of
+from bayeq.records.names import clean_names
 from tests.data import measured, pendulum_record
 from tests.draws import draws
 from tests.headers import oscillator
@@ -709,7 +710,7 @@ def test_short_arrays_are_named_and_settings_are_not(tmp_path):
     path = tmp_path / "run.mat"
     for others in ({"T": x[:100]}, {"slow": {"time": t[::20], "T": x[::20]}}):
         scipy.io.savemat(path, {"t": t, "x": x, "v": v, "masses": x[:3], **others})
-        with pytest.warns(bq.DataWarning, match=r"of arrays of 1000 samples; there are others: (T|slow\.time) \("):
+        with pytest.warns(DataWarning, match=r"of arrays of 1000 samples; there are others: (T|slow\.time) \("):
             found = bq.info(path)
         assert list(found.channels) == ["x", "v"]
     scipy.io.savemat(path, {"t": t, "x": x, "v": v, "w": x[:900], "masses": x[:3], **{f"k{i}": x[:50] for i in range(5)}})
@@ -733,3 +734,28 @@ def test_impossible_samples_are_missing_ones_as_in_discover():
 def test_huge_and_tiny_numbers_are_described(size):
     made = oscillator()
     assert bq.info(bq.Record({"x": made["x"] * size, "F": made["F"]}, made["t"])).guess.inputs == ("F",)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("Shaking table acc", "Shake table 1 acc", "Rütteltisch Beschl", "Schwingtischbeschleunigung", "acc_Schwingtisch"),
+        *("Accélération table vibrante", "Bodenbeschleunigung", "Fundamentbeschl", "Acc fondation"),
+    ],
+)
+@pytest.mark.parametrize("unit", ["g", "m/s^2", ""])
+def test_what_a_structure_stands_on_drives_it(name, unit):
+    (cleaned,), _ = clean_names([name])
+    assert clue_of(cleaned, unit).order == INPUT
+    for other in ("Shaker acc", "Tischbeschleunigung", "Solenoid acc"):
+        assert clue_of(clean_names([other])[0][0], unit).order == 2
+
+
+@pytest.mark.parametrize("names", [("Motor_angle", "Link_angle"), ("Weg_Laser", "Weg_LVDT"), ("x1", "x2")])
+def test_what_moves_as_another_coordinate_does_is_a_question(names):
+    made = oscillator()
+    beside = made["x"] + 0.02 * made["x"].std() * np.random.default_rng(0).normal(size=len(made["t"]))
+    channels = {names[0]: made["x"], names[1]: beside, "F": made["F"]}
+    found = bq.info(bq.Record(channels, made["t"], {**dict.fromkeys(names, "rad"), "F": "Nm"}))
+    assert found.guess.inputs == ("F",)
+    assert f"coordinate of its own: --chain {names[0]}:: --chain {names[1]}::" in " ".join(found.proposal.notes)
