@@ -21,7 +21,7 @@ from bayeq.inspection.roles import INPUT, REFERENCE, STATE, clue_of
 from bayeq.records.names import clean_names
 from tests.data import measured, pendulum_record
 from tests.draws import draws
-from tests.headers import oscillator
+from tests.headers import noisy, oscillator
 
 FS = 200.0
 
@@ -713,7 +713,9 @@ def test_short_arrays_are_named_and_settings_are_not(tmp_path):
         with pytest.warns(DataWarning, match=r"of arrays of 1000 samples; there are others: (T|slow\.time) \("):
             found = bq.info(path)
         assert list(found.channels) == ["x", "v"]
-    scipy.io.savemat(path, {"t": t, "x": x, "v": v, "w": x[:900], "masses": x[:3], **{f"k{i}": x[:50] for i in range(5)}})
+    scipy.io.savemat(
+        path, {"t": t, "x": x, "v": v, "w": x[:900], "masses": x[:3], **{f"k{i}": x[:50] for i in range(5)}}
+    )
     found = bq.info(path)
     assert list(found.channels) == ["x", "v"]
     assert "there are others: w (900), k0 (50)" in found.findings[0]
@@ -739,7 +741,13 @@ def test_huge_and_tiny_numbers_are_described(size):
 @pytest.mark.parametrize(
     "name",
     [
-        *("Shaking table acc", "Shake table 1 acc", "Rütteltisch Beschl", "Schwingtischbeschleunigung", "acc_Schwingtisch"),
+        *(
+            "Shaking table acc",
+            "Shake table 1 acc",
+            "Rütteltisch Beschl",
+            "Schwingtischbeschleunigung",
+            "acc_Schwingtisch",
+        ),
         *("Accélération table vibrante", "Bodenbeschleunigung", "Fundamentbeschl", "Acc fondation"),
     ],
 )
@@ -759,3 +767,21 @@ def test_what_moves_as_another_coordinate_does_is_a_question(names):
     found = bq.info(bq.Record(channels, made["t"], {**dict.fromkeys(names, "rad"), "F": "Nm"}))
     assert found.guess.inputs == ("F",)
     assert f"coordinate of its own: --chain {names[0]}:: --chain {names[1]}::" in " ".join(found.proposal.notes)
+
+
+@pytest.mark.parametrize("cubic", [0.0, 2e5])
+@pytest.mark.parametrize(("chain", "turned"), [("xa", "x"), ("xa", "a"), ("xv", "x"), ("xv", "v"), ("va", "v")])
+def test_a_force_says_which_of_two_channels_is_reversed(chain, turned, cubic, tmp_path):
+    made = noisy(oscillator(cubic=cubic))
+    path = tmp_path / "run.csv"
+    channels = {name: -made[name] if name == turned else made[name] for name in (*chain, "F")}
+    bq.write(bq.Record(channels, made["t"]), path)
+    assert f" --scale {turned}=-1 " in bq.info(path).proposal.command
+
+
+@pytest.mark.parametrize("header", ["t", "Zeit [s]"])
+def test_times_that_are_all_the_same_are_refused_as_discover_does(header, tmp_path, capsys):
+    path = tmp_path / "run.csv"
+    path.write_text(f"{header},x\n" + "".join(f"1.5,{k / 10}\n" for k in range(50)))
+    assert main(["info", str(path)]) == 2
+    assert "all 50 times are 1.5: the clock is too coarse" in capsys.readouterr().err

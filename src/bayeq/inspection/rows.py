@@ -84,7 +84,7 @@ def sort_rows(record: Record, time: str | None = None) -> Experiments:
             clock, unit = in_seconds(record[time], record.units.get(time) or time_unit(time), time)
         elif (step := next((name for name in record.names if _is_step(record, name)), None)) is not None:
             clock = np.asarray(np.arange(record.n) * float(np.nanmax(record[step])), dtype=np.float64)
-    restarts = np.zeros(0, dtype=np.intp) if clock is None else np.flatnonzero(np.diff(clock) <= 0.0) + 1
+    restarts = np.zeros(0, dtype=np.intp) if clock is None else np.flatnonzero(np.diff(clock) < 0.0) + 1
     column = _trial_column(record, restarts, clock, {time, counter, step})
     starts = restarts if column is None else np.union1d(restarts, equal_runs(record[column])[0][1:])
     left_out = {name for name in (time, counter, step, column) if name is not None}

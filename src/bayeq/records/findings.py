@@ -19,7 +19,7 @@ from bayeq.arrays import Bools, Floats
 from bayeq.numerics.distributions import t_quantile
 from bayeq.numerics.settings import RECORDS
 from bayeq.records.consistency import Frames, Relation, derivative_name, relate, shift_of, uniform_frames
-from bayeq.records.names import derivative_ratio
+from bayeq.records.names import derivative_ratio, in_si, parse_unit
 from bayeq.records.record import Record
 from bayeq.records.repair import counts_rows
 
@@ -34,6 +34,9 @@ NEAR = 0.02
 
 # Channels are exchanged where one gain differs from that of the units by more than this, and the other by less [ln].
 EXCHANGED, AS_STATED = math.log(2.0), math.log(1.1)
+
+# A force says which of two derivatives is reversed if its correlation with the higher one, beside the others, is this.
+PUSHED = 0.7
 
 # Clipping: a run of this many equal samples at an extreme, in a channel whose samples are equal nowhere else; or this
 # many samples at the extreme, and this many times as many as at any of the next levels. A channel of few levels, or
@@ -138,7 +141,8 @@ def check_record(
     for chain in split:
         if len(chain) == 3 and chain[:2] == [None, None] and chain[2] is not None and whole[chain[2]]:
             found += _moved_off(record, chain[2])
-        found += _kinematics(record, [name if name and whole[name] else None for name in chain])
+        usable = [name if name and whole[name] else None for name in chain]
+        found += _kinematics(record, usable, [name for name in inputs if whole[name]])
     for name in dict.fromkeys((*names, *inputs)):
         if whole[name] and record.n >= LEAST_ROWS_TO_CHECK:
             clipped = _clipped(name, record[name], shut=name in inputs)
@@ -199,7 +203,7 @@ def without_copies(records: Sequence[Record], names: Sequence[str]) -> tuple[lis
 # --- channels against each other -------------------------------------------------------------------------------------
 
 
-def _kinematics(record: Record, chain: Sequence[str | None]) -> list[Finding]:
+def _kinematics(record: Record, chain: Sequence[str | None], inputs: Sequence[str]) -> list[Finding]:
     """Offsets, delays, signs and gains within a chain."""
     measured = [(order, name) for order, name in enumerate(chain) if name is not None]
     if record.time is None or len(measured) < 2:
@@ -225,7 +229,7 @@ def _kinematics(record: Record, chain: Sequence[str | None]) -> list[Finding]:
             )
             return [*found, Finding("inconsistent", (q, p), message, link.fit)]
         links.append(link)
-    found += _signs(measured, links)
+    found += _signs(record, measured, links, inputs)
     found += _gains(record, measured, links)
     found += _delays(measured, links, frames.dt)
     for ((low, p), (high, q)), link in zip(pairwise(measured), links, strict=True):
@@ -261,18 +265,22 @@ class _Odd(NamedTuple):
 
 
 def _odd_ones(
-    measured: Sequence[tuple[int, str]], steps: Sequence[float], errors: Sequence[float], least: float
+    measured: Sequence[tuple[int, str]],
+    steps: Sequence[float],
+    errors: Sequence[float],
+    least: float,
+    highest: bool = False,
 ) -> list[_Odd]:
     """Channels that differ from most of a chain.
 
     `steps` are the differences from each channel to the next, `errors` what of them may be chance; differences up to
-    `least` do not matter. Without a majority the lowest derivative is believed.
+    `least` do not matter. Without a majority the lowest derivative is believed, or the highest.
     """
     level = np.concatenate([[0.0], np.cumsum(steps)])
     doubt = np.concatenate([[0.0], np.cumsum(errors)])
     tolerance = np.maximum(least, np.abs(doubt[:, None] - doubt))
     agree = np.abs(level[:, None] - level) <= tolerance
-    other = int(np.argmax(agree.sum(axis=1)))
+    other = int(np.argmax(agree.sum(axis=1) + 0.1 * highest * np.arange(len(level))))
     reference, name = measured[other]
     found = []
     for k in np.flatnonzero(~agree[other]).tolist():
@@ -283,8 +291,11 @@ def _odd_ones(
     return found
 
 
-def _signs(measured: Sequence[tuple[int, str]], links: Sequence[Relation]) -> list[Finding]:
+def _signs(
+    record: Record, measured: Sequence[tuple[int, str]], links: Sequence[Relation], inputs: Sequence[str]
+) -> list[Finding]:
     signs = np.cumprod([1, *(link.sign for link in links)])
+    highest = len(links) == 1 and links[0].sign < 0 and _is_pushed(record, measured, inputs)
     return [
         Finding(
             "sign",
@@ -292,8 +303,23 @@ def _signs(measured: Sequence[tuple[int, str]], links: Sequence[Relation]) -> li
             f"{odd.channels[0]} has the opposite sign of {odd.against}: reverse it (--scale {odd.channels[0]}=-1)",
             -1.0,
         )
-        for odd in _odd_ones(measured, np.diff(signs).tolist(), [0.0] * len(links), 0.0)
+        for odd in _odd_ones(measured, np.diff(signs).tolist(), [0.0] * len(links), 0.0, highest)
     ]
+
+
+def _is_pushed(record: Record, measured: Sequence[tuple[int, str]], inputs: Sequence[str]) -> bool:
+    """Whether the higher of two derivatives goes with the only force, beside a spring and a damper: it has its sign."""
+    si = [in_si(parse_unit(record.units.get(name, ""))) for name in inputs]
+    if len(inputs) != 1 or record.time is None or (si[0] and set(si[0][1]) >= {"m", "s"}):  # a base is no force
+        return False
+    (low, p), (high, q) = measured
+    x = record[p] if low == 0 else np.cumsum(record[p] - record[p].mean())
+    v = record[p] if low == 1 else np.gradient(record[p], record.time)
+    a = record[q] if high == 2 else np.gradient(record[q], record.time)
+    x, v, force, a = ((one - one.mean()) / (np.std(one) or 1.0) for one in (x, v, record[inputs[0]], a))
+    beside = np.stack([x, v, x**3], axis=1)
+    force, a = (one - beside @ np.linalg.lstsq(beside, one, rcond=None)[0] for one in (force, a))
+    return float(force @ a) > PUSHED * float(np.linalg.norm(force) * np.linalg.norm(a))
 
 
 def _gains(record: Record, measured: Sequence[tuple[int, str]], links: Sequence[Relation]) -> list[Finding]:
