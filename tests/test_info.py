@@ -785,3 +785,12 @@ def test_times_that_are_all_the_same_are_refused_as_discover_does(header, tmp_pa
     path.write_text(f"{header},x\n" + "".join(f"1.5,{k / 10}\n" for k in range(50)))
     assert main(["info", str(path)]) == 2
     assert "all 50 times are 1.5: the clock is too coarse" in capsys.readouterr().err
+
+
+def test_numbers_from_a_hundred_on_are_written_plainly():
+    t, rng = np.arange(40_000) / 10_000, np.random.default_rng(0)
+    tone = np.sin(2 * np.pi * 1000 * t)
+    found = bq.info(bq.Record({"x": tone, "slow": np.repeat(rng.normal(size=400), 100)}, t))
+    assert "1000 Hz" in str(found)
+    assert "slow changes in every 100 rows only" in " ".join(found.findings)
+    assert "e+0" not in str(found)

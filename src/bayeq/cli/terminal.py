@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 
 import click
 
-from bayeq.errors import BayeqError, InputError
+from bayeq.errors import BayeqError, InputError, in_digits
 from bayeq.resumable.posix import address_space
 
 if TYPE_CHECKING:
@@ -159,7 +159,7 @@ class Progress:
 
     def _finish(self) -> None:
         if self.verbose and self.stage:
-            say(f"bayeq: {self.stage}: {clock.monotonic() - self.began:.2g} s")
+            say(f"bayeq: {self.stage}: {in_digits(clock.monotonic() - self.began)} s")
 
     def _watch(self, stop: threading.Event) -> None:
         pause = PATIENCE

@@ -14,7 +14,7 @@ from bayeq.equation.equation import Equation
 from bayeq.equation.physical import forces_of, own_parameters
 from bayeq.equation.quantities import PhysicalParameters, Quantity
 from bayeq.equation.written import moment
-from bayeq.errors import printable
+from bayeq.errors import in_digits, printable
 from bayeq.figures.runs import draw_states
 from bayeq.figures.style import above, axes_for, style
 from bayeq.figures.terms import draw_terms
@@ -138,7 +138,7 @@ def sentence(eq: Answer) -> str:
         if name in eq.data.measured.ranges and name not in eq.numbers:
             low, high = eq.data.measured.ranges[name]
             unit = eq.equations[0].units.get(name, "")
-            ends = [f"{end:.2g}" if abs(end) < 100.0 else f"{end:.3g}" for end in (low, high)]
+            ends = [in_digits(low), in_digits(high)]
             ranges.append(f"{name} {' .. '.join(ends)}{' ' if unit else ''}{unit}")
     within = f" for {', '.join(ranges)}" if ranges else ""
     return printable(f"no test speaks against {'it' if len(eq.equations) == 1 else 'them'}{within}")

@@ -32,6 +32,7 @@ from bayeq.errors import (
     CorrelatedResidualsWarning,
     DataWarning,
     WarningLog,
+    in_digits,
     some_of,
 )
 from bayeq.forecast.dynamics import Dynamics
@@ -261,7 +262,7 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
 
 def _beyond(name: str, end: float, free: float, sds: float) -> str:
     """A bound, and by how many standard deviations the coefficient would be beyond it."""
-    return f"{name} {'<=' if free > end else '>='} {end:.4g} by {f'{sds:.2g}' if sds < 10.0 else f'{sds:.0f}'} sd"
+    return f"{name} {'<=' if free > end else '>='} {end:.4g} by {in_digits(sds)} sd"
 
 
 def _runners_up(fit: RegressionFit, posterior: Posterior) -> tuple[RunnerUp, ...]:

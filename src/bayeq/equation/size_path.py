@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayeq.arrays import Bools, Floats, Ints
+from bayeq.errors import in_digits
 from bayeq.figures.style import BLACK, BLUE, ORANGE, PALE, RED, labelled, log_ticks, new_panels, picture, term_label
 from bayeq.inference.collapsed.path import DEFAULT_MOST, best_of_each_size, model_log_posterior, partial_shares
 from bayeq.inference.collapsed.slab import exact_posterior
@@ -173,8 +174,7 @@ class ParsimonyPath:
 
 def percent(share: float) -> str:
     """A share of variance as a percentage of two significant digits."""
-    value = 100.0 * share
-    return f"{value:.0f} %" if value >= 10 else f"{value:.2g} %"
+    return f"{in_digits(100.0 * share)} %"
 
 
 def _error(r2: float) -> str:

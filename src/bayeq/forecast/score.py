@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayeq.arrays import Floats
+from bayeq.errors import in_digits
 from bayeq.expressions import Expression
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import fitted_start, mean_run, state_range
@@ -79,11 +80,7 @@ def percentages(errors: Mapping[str, float]) -> str:
     >>> percentages({"x": 0.0123, "v": 0.57})
     'x 1.2 %, v 57 %'
     """
-    return ", ".join(f"{name} {_percent(100.0 * error)} %" for name, error in errors.items()) or "no state is measured"
-
-
-def _percent(error: float) -> str:
-    return f"{error:.0f}" if error >= 10 else f"{error:.2g}"
+    return ", ".join(f"{name} {in_digits(100.0 * error)} %" for name, error in errors.items()) or "no state is measured"
 
 
 def score_rows(dynamics: Dynamics, parameters: Floats, pieces: Sequence[Rows], motion: Sequence[Rows] = ()) -> Scores:

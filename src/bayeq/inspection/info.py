@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from bayeq.errors import InputError, LengthsError, RecordError, WordsError, some_of
+from bayeq.errors import InputError, LengthsError, RecordError, WordsError, in_digits, some_of
 from bayeq.inspection.channels import ChannelInfo, describe_channels
 from bayeq.inspection.contents import Proposal, Reading, RecordInfo, propose
 from bayeq.inspection.first_order import of_first_order
@@ -386,7 +386,9 @@ def _on_channels(found: RecordInfo) -> list[str]:
                 f"{name} has no unit: a WAV file holds shares of full scale; give both, as --units {name}=125mm/s"
             )
         if channel.held is not None:
-            out.append(f"{name} changes in every {channel.held:.2g} rows only: it is sampled slower than the file")
+            out.append(
+                f"{name} changes in every {in_digits(channel.held)} rows only: it is sampled slower than the file"
+            )
     return out
 
 

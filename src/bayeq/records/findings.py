@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.arrays import Bools, Floats
+from bayeq.errors import in_digits
 from bayeq.numerics.distributions import t_quantile
 from bayeq.numerics.settings import RECORDS
-from bayeq.records.consistency import Frames, Relation, derivative_name, relate, shift_of, uniform_frames
+from bayeq.records.consistency import Frames, Relation, derivative_name, goes_with, relate, shift_of, uniform_frames
 from bayeq.records.names import derivative_ratio, in_si, parse_unit
 from bayeq.records.record import Record
 from bayeq.records.repair import counts_rows
@@ -34,9 +35,6 @@ NEAR = 0.02
 
 # Channels are exchanged where one gain differs from that of the units by more than this, and the other by less [ln].
 EXCHANGED, AS_STATED = math.log(2.0), math.log(1.1)
-
-# A force says which of two derivatives is reversed if its correlation with the higher one, beside the others, is this.
-PUSHED = 0.7
 
 # Clipping: a run of this many equal samples at an extreme, in a channel whose samples are equal nowhere else; or this
 # many samples at the extreme, and this many times as many as at any of the next levels. A channel of few levels, or
@@ -177,7 +175,7 @@ def check_messages(
             if (finding.kind == "dropped" and record.n < n) or (shifted and drifting):
                 continue
             if shifted and several and record.fs is not None:  # one number would not do for all
-                band = f"{record.fs / record.n:.1g}:{0.5 * record.fs:.3g}"
+                band = f"{record.fs / record.n:.1g}:{in_digits(0.5 * record.fs, 3)}"
                 message = f"{message.split(': use')[0]}: --band {band} learns what each record has"
             found.setdefault((finding.kind, finding.channels), []).append(where + message)
     return [
@@ -248,9 +246,8 @@ def _exchanged(record: Record, p: str, q: str, order: int, link: Relation, frame
         return []
     if back.least_gain * link.most_gain < link.least_gain * back.most_gain:  # the gain is less the same
         return []
-    message = (
-        f"{p} is {back.gain:.3g} times the {'second ' * (order == 2)}derivative of {q}: are the columns exchanged?"
-    )
+    what = f"the {'second ' * (order == 2)}derivative of {q}"
+    message = f"{p} is {in_digits(back.gain, 3)} times {what}: are the columns exchanged?"
     return [Finding("exchanged", (p, q), message, back.gain)]
 
 
@@ -295,7 +292,12 @@ def _signs(
     record: Record, measured: Sequence[tuple[int, str]], links: Sequence[Relation], inputs: Sequence[str]
 ) -> list[Finding]:
     signs = np.cumprod([1, *(link.sign for link in links)])
-    highest = len(links) == 1 and links[0].sign < 0 and _is_pushed(record, measured, inputs)
+    si = [in_si(parse_unit(record.units.get(name, ""))) for name in inputs]
+    by_force = len(inputs) == 1 and not (si[0] and {"m", "s"} <= set(si[0][1]))  # what a base does is no force
+    highest = len(links) == 1 and links[0].sign < 0 and by_force
+    if highest and record.time is not None:
+        (low, p), (high, q) = measured
+        highest = goes_with(record.time, (low, high), record[p], record[q], record[inputs[0]])
     return [
         Finding(
             "sign",
@@ -305,21 +307,6 @@ def _signs(
         )
         for odd in _odd_ones(measured, np.diff(signs).tolist(), [0.0] * len(links), 0.0, highest)
     ]
-
-
-def _is_pushed(record: Record, measured: Sequence[tuple[int, str]], inputs: Sequence[str]) -> bool:
-    """Whether the higher of two derivatives goes with the only force, beside a spring and a damper: it has its sign."""
-    si = [in_si(parse_unit(record.units.get(name, ""))) for name in inputs]
-    if len(inputs) != 1 or record.time is None or (si[0] and set(si[0][1]) >= {"m", "s"}):  # a base is no force
-        return False
-    (low, p), (high, q) = measured
-    x = record[p] if low == 0 else np.cumsum(record[p] - record[p].mean())
-    v = record[p] if low == 1 else np.gradient(record[p], record.time)
-    a = record[q] if high == 2 else np.gradient(record[q], record.time)
-    x, v, force, a = ((one - one.mean()) / (np.std(one) or 1.0) for one in (x, v, record[inputs[0]], a))
-    beside = np.stack([x, v, x**3], axis=1)
-    force, a = (one - beside @ np.linalg.lstsq(beside, one, rcond=None)[0] for one in (force, a))
-    return float(force @ a) > PUSHED * float(np.linalg.norm(force) * np.linalg.norm(a))
 
 
 def _gains(record: Record, measured: Sequence[tuple[int, str]], links: Sequence[Relation]) -> list[Finding]:
@@ -375,8 +362,9 @@ def _delays(measured: Sequence[tuple[int, str]], links: Sequence[Relation], dt: 
     found = []
     for odd in _odd_ones(measured, steps, errors, RECORDS.least_delay * dt):
         name, delay = odd.channels[0], odd.difference
+        rows = f"{in_digits(abs(delay) / dt)} rows"
         message = (
-            f"{name} {'lags behind' if delay > 0 else 'is ahead of'} {odd.against} by {abs(delay) / dt:.2g} rows:"
+            f"{name} {'lags behind' if delay > 0 else 'is ahead of'} {odd.against} by {rows}:"
             f" use --lag-sd, or bayeq.correct_delay(record, {name!r}, {delay:.3g})"
         )
         found.append(Finding("delay", odd.channels, message, delay))
@@ -402,14 +390,12 @@ def _shifts(record: Record, p: str, q: str, order: int, link: Relation, frames: 
     significant = t_quantile(shift.freedom, RECORDS.significant)
     found = []
     if abs(shift.offset_t) > significant and abs(shift.offset) > RECORDS.least_offset * spread:
-        size = 100.0 * abs(shift.offset) / spread
-        message = (
-            f"{q} is off {what} by {shift.offset:.3g}{unit} ({size:.2g} %): use --remove-offset {q}={shift.offset:.4g}"
-        )
+        much = f"{in_digits(shift.offset, 3)}{unit} ({in_digits(100.0 * abs(shift.offset) / spread)} %)"
+        message = f"{q} is off {what} by {much}: use --remove-offset {q}={shift.offset:.4g}"
         found.append(Finding("offset", (q, p), message, shift.offset))
     if abs(shift.drift_t) > significant and abs(shift.drift) * span > 2.0 * RECORDS.least_offset * spread:
         message = (
-            f"{q} drifts by {shift.drift * span:.3g}{unit}:"
+            f"{q} drifts by {in_digits(shift.drift * span, 3)}{unit}:"
             f" use bayeq.remove_offset(record, {q!r}, {shift.offset:.3g}, drift={shift.drift:.3g})"
         )
         found.append(Finding("drift", (q, p), message, shift.drift))
@@ -424,7 +410,9 @@ def _moved_off(record: Record, name: str) -> list[Finding]:
     swing = float(np.ptp(np.cumsum(values - mean))) * step
     if not abs(mean) * record.n * step > MOVED_OFF * swing:
         return []
-    message = f"{name} has a mean of {mean:.3g}: unless it moves away with it, take it out (--remove-offset {name})"
+    message = (
+        f"{name} has a mean of {in_digits(mean, 3)}: unless it moves away with it, take it out (--remove-offset {name})"
+    )
     return [Finding("offset", (name,), message, mean)]
 
 
@@ -461,7 +449,7 @@ def _clock(record: Record, name: str) -> list[Finding]:
     rows = 2.0 * math.pi * spread / steps if steps > 0.0 else math.inf
     if not rows < MOST_ROWS_A_PERIOD:
         return []
-    period = f"{rows * step:.2g} s"
+    period = f"{in_digits(rows * step)} s"
     message = f"{name} has about {period} a period: if time is in ms, write it into its header, or --units COLUMN=ms"
     return [Finding("clock", (name,), message, step)]
 
@@ -607,6 +595,6 @@ def _interpolated(record: Record, name: str) -> list[Finding]:
     if float(np.abs(places - first - every * numbers).max()) > 1.0:
         return []
     rate = "" if record.fs is None else f" from {record.fs / every:.4g} Hz"
-    what = f"{name} is straight over every {every:.3g} samples"
+    what = f"{name} is straight over every {in_digits(every, 3)} samples"
     message = f"{what}: it was interpolated{rate}; give the samples as measured"
     return [Finding("interpolated", (name,), message, float(every))]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from bayeq.arrays import Bools, Floats, Ints
-from bayeq.errors import InputError, RecordError
+from bayeq.errors import InputError, RecordError, in_digits
 from bayeq.expressions.parse import EARLIER
 from bayeq.numerics.settings import RECORDS, STATES
 from bayeq.records import SAMPLES, Record, correct_delay, split_at_gaps
@@ -99,7 +99,7 @@ def missing_messages(records: Sequence[Record], roles: Roles) -> list[str]:
         for name in roles.channels:
             rows = np.isnan(record[name])
             if rows.any():
-                what = f"missing ({listed(rows)}: {100 * rows.sum() / record.n:.2g} %)"
+                what = f"missing ({listed(rows)}: {in_digits(100 * rows.sum() / record.n)} %)"
                 out.append(f"{where}{name}: {_samples_are(rows)} {what}; check the acquisition")
     return out
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from bayeq.arrays import Bools, Floats
 from bayeq.equation.refine.output_error import Known, OutputError, Unrefined, output_error
-from bayeq.errors import ConvergenceWarning, DataWarning, RecordError, WarningLog, some_of
+from bayeq.errors import ConvergenceWarning, DataWarning, RecordError, WarningLog, in_digits, some_of
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import apart, typical_period, window_runs
 from bayeq.forecast.rows import Courses, Rows, divided, predicted_target, rows_of
@@ -171,7 +171,7 @@ def _doubts(found: OutputError, bound: Sequence[str], worse: Sequence[str]) -> W
     if found.excess > 1.0:
         log.warn(
             "what free runs leave is correlated in time: variances of coefficients are"
-            f" {found.excess:.2g} times those of white noise; add terms",
+            f" {in_digits(found.excess)} times those of white noise; add terms",
             DataWarning,
         )
     log.extend(worse, ConvergenceWarning)
@@ -188,7 +188,7 @@ def _doubts(found: OutputError, bound: Sequence[str], worse: Sequence[str]) -> W
         )
     for name, ratio in found.misfit.items():
         log.warn(
-            f"{name}: free runs leave {ratio:.2g} times the noise that was given: theirs is taken; check it, or"
+            f"{name}: free runs leave {in_digits(ratio)} times the noise that was given: theirs is taken; check it, or"
             " add terms",
             DataWarning,
         )
