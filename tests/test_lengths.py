@@ -143,7 +143,7 @@ def _width(node: ast.expr, known: Mapping[str, ast.expr]) -> int:
             return max(_width(body, known), _width(orelse, known))
         case ast.Call(ast.Name("some_of"), [_, ast.Constant(int(width)), *_]):
             return width
-        case ast.Call(ast.Name("len" | "int")) | ast.BinOp():
+        case ast.Call(ast.Name("len" | "int" | "in_digits")) | ast.BinOp():
             return NUMBER
         case ast.Call():
             return MADE

@@ -274,7 +274,7 @@ def some_of(texts: Sequence[str], width: int = 60, between: str = ", ") -> str:
 
 
 def in_digits(value: float, digits: int = 2) -> str:
-    """A number in so many digits, or in as many as stand before its point, to 100,000.
+    """A number in some digits, or in as many as stand before its point, to 100,000.
 
     Examples
     --------

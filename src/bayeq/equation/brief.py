@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import shlex
 import textwrap
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
@@ -48,14 +50,14 @@ MOST_BENT = 2
 DERIVED = ("omega_n",)
 
 
-def brief(eq: Answer) -> str:
+def brief(eq: Answer, folder: str | os.PathLike[str] = "") -> str:
     """Verdict, law in physical parameters where there are any, equations, checks and source.
 
-    No equation is printed where none was found.
+    No equation is printed where none was found, but a command to try, with the folder of the file.
     """
     lines = _wrapped(f"verdict: {eq.verdict.kind}: {sentence(eq)}")
     if eq.verdict.kind == "none":
-        return "\n".join([*lines, "", *_wrapped(what_to_try(eq))])
+        return "\n".join([*lines, "", *_wrapped(what_to_try(eq, folder))])
     physical, owner = own_parameters(eq), _owner(eq)
     for one in eq.equations:
         tabled = physical is None or _doubtful(one) or bool(one.shown_constants)
@@ -144,10 +146,10 @@ def sentence(eq: Answer) -> str:
     return printable(f"no test speaks against {'it' if len(eq.equations) == 1 else 'them'}{within}")
 
 
-def what_to_try(eq: Answer) -> str:
+def what_to_try(eq: Answer, folder: str | os.PathLike[str] = "") -> str:
     """Where no equation was found: the likely cause and a command."""
     names = [name for name in eq.data.files if name]
-    file = printable(names[0]) if names else "FILE"
+    file = printable(shlex.quote(os.path.join(folder, names[0]))) if names else "FILE"
     return (
         "Likely a channel has another role, unit or sign than was said, or the candidates lack what moves it."
         f" Try: bayeq info {file}"

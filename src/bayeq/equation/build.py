@@ -342,9 +342,9 @@ def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
             DataWarning,
         )
     if equation.verdict.kind == "none":
-        why = equation.verdict.reason.partition(", though")[0].partition(" (")[0]
-        why = why.replace("started from a measured state the equation is", "free runs are")
-        log.warn(f"{target}: {why}; check the channels", DataWarning)
+        why = equation.verdict.reason.removeprefix("no equation found: ").partition(", though")[0].partition(" (")[0]
+        why = why.replace("started from a measured state the equation is", "free runs are").replace(f"of {target} ", "")
+        log.warn(f"no equation for {target}: {why}; check channels", DataWarning)
     else:  # of no equation no terms are shown
         _warn_of_rivals(equation, selection, log)
     _warn_of_residuals(equation, selection, log)

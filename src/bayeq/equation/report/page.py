@@ -473,7 +473,7 @@ def _data(eq: Answer) -> dict[str, str]:
         "chains": ", ".join(str(chain) for chain in eq.chains),
         "inputs": ", ".join(eq.inputs),
         "dictionary": eq.dictionary,
-        "method": ENGINES[eq.method].title,
+        "method": f"{eq.method} (bayeq discover -h)",
         "smoothing": eq.smooth,
         "band": "" if source.band is None else f"{source.band[0]:g} to {source.band[1]:g} Hz",
         "estimated": ", ".join(source.estimated),
