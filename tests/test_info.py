@@ -766,7 +766,7 @@ def test_what_moves_as_another_coordinate_does_is_a_question(names):
     channels = {names[0]: made["x"], names[1]: beside, "F": made["F"]}
     found = bq.info(bq.Record(channels, made["t"], {**dict.fromkeys(names, "rad"), "F": "Nm"}))
     assert found.guess.inputs == ("F",)
-    assert f"coordinate of its own: --chain {names[0]}:: --chain {names[1]}::" in " ".join(found.proposal.notes)
+    assert f"as a coordinate: --chain {names[0]}:: --chain {names[1]}::" in " ".join(found.proposal.notes)
 
 
 @pytest.mark.parametrize("cubic", [0.0, 2e5])

@@ -288,8 +288,7 @@ def guess_roles(
     for k, name in enumerate(of_order[0]):
         same = [other for other in of_order[0][:k] if alike.get(frozenset((name, other)), 0.0) > SAME]
         if same:
-            own = f"if it is a coordinate of its own: --chain {same[0]}:: --chain {name}::"
-            reasons[name] = f"moves as {same[0]} does, perhaps as a second sensor; {own}"
+            reasons[name] = f"moves as {same[0]} does; as a coordinate: --chain {same[0]}:: --chain {name}::"
         elif name in rough and not rough.issuperset(n for n in names if clues[n].order == 0):
             reasons[name] = "jumps from row to row as noise does"
     inputs = []
