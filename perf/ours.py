@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 import bayeq as bq
 from bayeq.inference.auto import spike_slab_auto
-from bayeq.inference.lazy_gram import grams_of
+from bayeq.inference.gram import grams_of
 from bayeq.inference.stlsq import sweep_stlsq
 from perf.problems import Fitted
 

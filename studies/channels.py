@@ -20,7 +20,8 @@ from numpy.polynomial import Polynomial
 from bayeq.discovery import discover
 from bayeq.errors import BayeqError, BayeqWarning
 from bayeq.records import Record
-from bayeq.states import derive_states, parse_chains
+from bayeq.states import parse_chains
+from bayeq.states.derive import derive_states
 from bayeq.study.config import STUDY_SYSTEMS
 from bayeq.systems import get_system, simulate
 from bayeq.systems.simulate import band_limited_noise

@@ -35,7 +35,7 @@ def _messages() -> list[tuple[str, str]]:
     out = []
     for path in modules():
         source = path.read_text(encoding="utf-8")
-        if ".warn(" not in source:
+        if "Warning" not in source:
             continue
         constants: dict[str, str] = {}
         advised: set[str] = set()
@@ -46,13 +46,17 @@ def _messages() -> list[tuple[str, str]]:
                 if any(getattr(part, "attr", "") == "advice" for part in ast.walk(node.value)):
                     advised.add(node.targets[0].id)
         for node in ast.walk(tree):
-            if not (isinstance(node, ast.Call) and getattr(node.func, "attr", "") == "warn" and len(node.args) > 1):
-                continue
-            category, message = node.args[1], node.args[0]
+            match node:  # given, or yielded to what gives it
+                case ast.Call(func=ast.Attribute(attr="warn"), args=[message, category, *_]):
+                    pass
+                case ast.Yield(value=ast.Tuple(elts=[message, category])):
+                    pass
+                case _:
+                    continue
             if not (isinstance(category, ast.Name) and category.id in CATEGORIES):
                 continue
             names = [part.id for part in ast.walk(message) if isinstance(part, ast.Name)]
-            whole = _text(message) + "".join(constants.get(name, "") for name in names)
+            whole = " ".join([_text(message), *(constants.get(name, "") for name in names)])
             if any(name in advised for name in names):
                 continue  # its advice is looked at where it is written
             if not isinstance(message, ast.Name) or names[0] in constants:

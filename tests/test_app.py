@@ -19,7 +19,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 import bayeq as bq
-from bayeq.app.choices import INPUT, READING, ROLES, Choice, Choices, chains_of, discover_command, proposed
+from bayeq.app.choices import EQUATION, INPUT, READING, ROLES, Choice, Choices, chains_of, discover_command
 from bayeq.app.server import Guard
 from bayeq.app.session import LARGEST, LONGEST_NAME, Child, Session, Workspace, safe_name
 from bayeq.cli.app import main
@@ -72,7 +72,7 @@ def test_what_is_typed_is_the_value_of_its_option_and_nothing_else(text):
     roles = {"x": Choice("displacement", unit=text, offset=text)}
     choices = Choices(roles, dictionary=text, rows=text, band=text, constraints=text, reading={"--time": text})
     words = discover_command(["run.csv"], choices)
-    context = discover.make_context("discover", words[1:])
+    context = discover.make_context("discover", words[1:], help_option_names=["-h", "--help"])  # which click keeps
     assert context.params["dictionaries"] == (text,)
     assert (context.params["rows"], context.params["band"]) == (text, text)
     assert (context.params["time"], context.params["constraints"]) == (text, (text,))
@@ -84,7 +84,7 @@ def test_what_is_typed_is_the_value_of_its_option_and_nothing_else(text):
     "chains", [["x:v:a"], ["x::a"], ["x1:v1:a1", "x2:v2:a2"], ["hare", "lynx"], ["h:dh"], ["p:dp", "q:dq"], ["::a"]]
 )
 def test_proposed_roles_make_the_proposed_chains(chains):
-    choices = proposed(info_of(chains, ["u", "f"], ["other"]))
+    choices = Choices.proposed(info_of(chains, ["u", "f"], ["other"])).roles
     assert chains_of(choices) == chains
     assert [name for name, choice in choices.items() if choice.role == INPUT] == ["u", "f"]
     assert choices["other"].role == ""
@@ -317,7 +317,7 @@ def test_a_session_reads_again_and_takes_further_records(monkeypatch):
         assert [one["name"] for one in session.opened.info["channels"]] == ["p", "q", "r", "s"]
         assert session.words()[:3] == ["discover", "run.csv", "record2_run.csv"]
         assert session.words()[3:7] == ["--names", "t,p,q,r,s", "--skip", "2"]
-        assert bq.load(session.result.equation).data.n == 600
+        assert bq.load(session.result.folder / EQUATION).data.n == 600
         session.drop(second)
         assert not second.exists()
         session.choices.reading["--skip"] = "no"

@@ -125,6 +125,13 @@ def test_a_true_tie_holds_and_a_wrong_one_is_refused_with_its_odds() -> None:
     assert tied.constraints == ("ddx1: x1-x2 == 2*(ddx2: x2-x1)",)
 
 
+def test_of_several_ties_only_the_wrong_one_is_refused() -> None:
+    true, wrong = "ddx1: x1-x2 == 2*(ddx2: x2-x1)", "ddx1: dx1-dx2 == 9*(ddx2: dx2-dx1)"
+    with pytest.warns(BayeqWarning, match=r"contradicts ddx1: dx1-dx2 == 9\*\(ddx2: dx2-dx1\) \(odds 1:"):
+        found = _two_masses([true, wrong])
+    assert found.constraints == (true,)
+
+
 def test_an_equality_in_one_equation_is_a_tie_too() -> None:
     record = simulate("duffing", n=700, fs=250.0, seed=1, noise=0.05)
     ask = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u", "holdout": 0.0}
@@ -163,6 +170,9 @@ def test_a_coefficient_that_was_measured_before_is_sharper_and_a_wrong_one_is_to
     assert known.shown_coef["u"] == pytest.approx(1.0, abs=0.001)
     with pytest.warns(BayeqWarning, match="contradicts u ~ 1.1"):
         bq.discover(record, constraints=["u ~ 1.1 +- 0.001"], **ask)
+    # the discrepancy takes up what a wrong damping leaves: what is printed is far from it, its posterior was near
+    with pytest.warns(BayeqWarning, match=r"contradicts v ~ -3 \+- 0\.01: it says -[12]\.\d+"):
+        bq.discover(record, constraints=["v ~ -3 +- 0.01"], **ask)
     with pytest.raises(InputError, match="likelihood of the record"):
         bq.discover(record, constraints=["u ~ 1 +- 0.1"], smooth="none", **ask)
 

@@ -99,6 +99,27 @@ def test_terms_in_doubt_have_probabilities(tmp_path, capsys):
     assert 0.5 < float(damping[-1]) < 0.99
 
 
+@pytest.mark.filterwarnings("ignore::bayeq.errors.TermWarning")
+def test_a_term_that_another_may_stand_for_is_named(tmp_path, capsys):
+    record = bq.simulate("duffing", n=600, seed=1)
+    path = tmp_path / "above.csv"
+    bq.write(bq.Record.from_arrays({**{k: record[k] for k in "vau"}, "x": record["x"] + 2.0}, time=record.time), path)
+    out = printed(capsys, "discover", path, *FULL, "--dictionary", "x, v, x**2, x**3, u, x*abs(x)*x, x*x*x")
+    assert "x*abs(x)*x is the same as x**3 on this record: either may be right beyond it" in out
+    assert "x*x*x is" not in out
+
+
+@pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
+def test_a_late_force_is_the_likely_cause_where_nothing_is_found(tmp_path, capsys):
+    record = bq.simulate("duffing", n=2040, seed=1)
+    path = tmp_path / "late.csv"
+    channels = {**{k: record[k][40:] for k in "xva"}, "u": record["u"][:-40]}
+    bq.write(bq.Record.from_arrays(channels, time=record.time[40:]), path)
+    out = printed(capsys, "discover", path, *FULL, "--dictionary", "x, v, x**3, u", "--smooth", "none")
+    assert out.startswith("verdict: none: the terms explain little of a")
+    assert "Likely u may be 0.04 s late: --lag-sd u=0.05 learns that." in out
+
+
 def test_intervals_of_several_equations(tmp_path, capsys):
     path = tmp_path / "flow.csv"
     bq.write(bq.simulate("vanderpol", n=600, seed=1), path)

@@ -88,6 +88,9 @@ def ranges(*texts, columns=COLUMNS):
         ("exp(-{c}*t)", 1.0 / (3.0 * T[-1]), 1.0 / (0.001 * T[-1])),
         ("max(x - {c}, 0)", COLUMNS["x"].min(), COLUMNS["x"].max()),
         ("max(x + {c}, 0)", -COLUMNS["x"].max(), -COLUMNS["x"].min()),
+        # of a negative one it is the same law in another form
+        ("max(x - {c}, 0) + min(x + {c}, 0)", 0.0, COLUMNS["x"].max()),
+        ("max(x - {c}, 0) - max(-x - {c}, 0)", 0.0, COLUMNS["x"].max()),
         ("where(t > {c}, 1, 0)", 0.0, T[-1]),
         ("abs(v)**{c}*sign(v)", 0.25, 4.0),
         ("sin({c}*t)", math.pi / T[-1], 0.5 * math.pi * 50.0),

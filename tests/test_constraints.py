@@ -205,7 +205,7 @@ def test_the_reduced_gram_is_that_of_explicitly_combined_columns(seed):
     target = y - D[:, e.eliminated] @ e.offsets
     expected = Gram.from_data(columns, target, [NAMES[j] for j in e.kept])
     # in parts, as several records are
-    found = constraints.reduce(Gram.from_data(D[:30], y[:30], NAMES) + Gram.from_data(D[30:], y[30:], NAMES))
+    found = constraints.equalities.reduce(Gram.from_data(D[:30], y[:30], NAMES) + Gram.from_data(D[30:], y[30:], NAMES))
     assert found.names == expected.names
     scale = np.sqrt(expected.diagonal)
     np.testing.assert_allclose(found.DtD / np.outer(scale, scale), expected.DtD / np.outer(scale, scale), atol=1e-9)
@@ -267,9 +267,9 @@ def test_an_eliminated_term_is_in_where_one_that_it_follows_from_is():
     gram = Gram.from_data(D, v + 0.7 * rng.normal(size=60), ("x", "v", "w", "u"))
     terms = [parse(name) for name in gram.names]
     constraints = solved("x == 0.5*v + 0.25*w", "u == 0", terms=terms)
-    reduced = constraints.reduce(gram)
+    reduced = constraints.equalities.reduce(gram)
     inner = spike_slab_bma(reduced)
-    outer = constraints.expand(inner, gram)
+    outer = constraints.equalities.expand(inner, gram)
     either = inner.average.probability @ inner.average.models.any(axis=1)
     assert 0.9 < max(inner.pip) + 0.3 < either + 0.3  # v and w stand in for each other
     np.testing.assert_allclose(outer.pip, [either, *inner.pip, 0.0])
@@ -285,13 +285,13 @@ def test_an_eliminated_term_is_in_where_one_that_it_follows_from_is():
     together = outer.average.probability @ outer.average.models[:, [0, 1]].all(axis=1)
     assert together == pytest.approx(inner.pip[0])
     # draws of a chain tell the same
-    sampled = constraints.expand(spike_slab_gibbs(reduced, samples=4000, burn_in=500), gram)
+    sampled = constraints.equalities.expand(spike_slab_gibbs(reduced, samples=4000, burn_in=500), gram)
     np.testing.assert_allclose(sampled.draws.theta[..., 0], sampled.draws.theta @ [0, 0.5, 0.25, 0], rtol=1e-12)
     np.testing.assert_array_equal(sampled.draws.z[..., 0], sampled.draws.z[..., 1:3].any(axis=-1))
     np.testing.assert_allclose(sampled.pip, outer.pip, atol=0.02)
     np.testing.assert_allclose(sampled.averaged.sd, outer.averaged.sd, rtol=0.05, atol=1e-12)
     # without draws the spread is bounded
-    bare = constraints.expand(spike_slab_gibbs(reduced, samples=4000, burn_in=500, keep_draws=False), gram)
+    bare = constraints.equalities.expand(spike_slab_gibbs(reduced, samples=4000, burn_in=500, keep_draws=False), gram)
     assert bare.averaged.sd[0] >= sampled.averaged.sd[0]
     assert bare.pip[0] == max(bare.pip[1:3])
 

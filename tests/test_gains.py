@@ -12,7 +12,7 @@ from scipy.signal import butter, filtfilt
 
 import bayeq as bq
 from bayeq.equation.brief import brief
-from bayeq.likelihood.gains import calibration_of
+from bayeq.likelihood.channels import calibration_of
 from bayeq.states import Gain
 
 TRUE = {"x": -1000.0, "v": -2.0, "x**3": -1e5, "u": 1.0}  # of the simulated Duffing oscillator

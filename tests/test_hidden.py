@@ -54,6 +54,17 @@ def answer() -> bq.discover:  # type: ignore[valid-type]
     return bq.discover(actuator(1), chains="x::", inputs=["u"], dictionary=TERMS, law=LAW)
 
 
+def test_the_lag_of_a_channel_beside_a_hidden_state():
+    record = actuator(1)
+    late = bq.Record.from_arrays({"x": record["x"][:-2], "u": record["u"][2:]}, time=record.time[:-2])  # u comes early
+    shown = {"ddx": "x, dx, f, x**3"}
+    early = bq.discover(late, chains="x::", inputs=["u"], dictionary=shown, law="df = (u - f)/0.05", lag_sd={"u": 0.01})
+    lag = early.data.sensors.lags["u"]
+    assert abs(lag.value + 0.01) < 4.0 * lag.sd < 0.004
+    with pytest.raises(InputError, match=r"gain_sd: .* hidden state"):
+        bq.discover(record, chains="x::", inputs=["u"], dictionary=shown, law=LAW, gain_sd={"u": 0.05})
+
+
 # --- roles and paths ------------------------------------------------------------------------------------------------
 
 

@@ -12,8 +12,7 @@ from bayeq.inference.bma import spike_slab_bma
 from bayeq.inference.collapsed.problem import Problem, fetch, gram_block
 from bayeq.inference.collapsed.search import best_models
 from bayeq.inference.gibbs import spike_slab_gibbs
-from bayeq.inference.gram import Gram, dense
-from bayeq.inference.lazy_gram import LEAST_COLUMNS, LazyGram, grams_of
+from bayeq.inference.gram import LEAST_COLUMNS, Gram, LazyGram, dense, grams_of
 from bayeq.inference.prior import Prior
 from bayeq.inference.vb import spike_slab_vb
 
@@ -96,12 +95,14 @@ def test_all_of_the_product_can_be_asked_for():
     D, y = wide(n=100)
     lazy = grams_of(D, y[:, None])[0]
     problem = Problem.of(lazy, Prior())
-    np.testing.assert_allclose(problem.DtD, lazy.DtD, atol=1e-8)
+    np.testing.assert_allclose(problem.DtD, dense(lazy), atol=1e-8)
     assert problem.columns.used[0] == 600
     # the rows stand in the order in which they were asked for, the block in that of the terms
     other = Problem.of(lazy, Prior()).columns
     fetch(other, 400)
-    np.testing.assert_allclose(gram_block(other, np.array([3, 400, 77])), lazy.DtD[np.ix_([3, 400, 77], [3, 400, 77])])
+    np.testing.assert_allclose(
+        gram_block(other, np.array([3, 400, 77])), dense(lazy)[np.ix_([3, 400, 77], [3, 400, 77])]
+    )
 
 
 @pytest.mark.parametrize("estimator", [bq.SpikeSlabVB, bq.SpikeSlabBMA, bq.SpikeSlabGibbs])
@@ -120,7 +121,10 @@ def test_estimators_take_wide_problems(estimator):
 def test_rvm_and_stlsq_take_wide_problems():
     D, y = wide(P=LEAST_COLUMNS)
     assert set(TRUE) <= set(np.flatnonzero(bq.RVM().fit(D, y).support_))
-    assert np.isfinite(bq.STLSQ(threshold=0.5, ridge=1.0).fit(D, y).coef_).all()
+    fit = bq.STLSQ(threshold=0.5, ridge=1.0).fit(D, y + 5.0)
+    assert np.isfinite(fit.coef_).all()
+    assert np.mean(fit.predict(D)) == pytest.approx(np.mean(y) + 5.0)
+    assert bq.STLSQ(threshold=0.5, ridge=1.0, fit_intercept=False).fit(D, y).intercept_ == 0.0
 
 
 def test_narrow_problems_keep_their_gram():

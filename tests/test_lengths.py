@@ -185,5 +185,5 @@ def test_long_names_are_said_once() -> None:
     name, rng = "Schwingbeschleunigung_Aufbau_vorne_links", np.random.default_rng(0)
     record = bq.Record.from_arrays(fs=10.0, u=rng.normal(size=300), **{name: rng.normal(size=300)})
     (said,) = [one for one in bq.discover(record, target=name, inputs=["u"], dictionary="u").warnings if name in one]
-    assert said == f"no equation for {name}: the terms explain little on the held-out rows; check channels"
+    assert said == f"{name}: no equation: the terms explain little on the held-out rows; check channels"
     assert len(said) <= LONGEST

@@ -16,8 +16,7 @@ from bayeq import Prior, PriorSensitivity, SpikeSlabBMA
 from bayeq.cli.app import main
 from bayeq.equation.sensitivity import PipCurve, draw_pip_curves, power_sensitivity, prior_sensitivity
 from bayeq.errors import ConvergenceWarning, InputError, MissingExtraError
-from bayeq.inference.gram import Gram
-from bayeq.inference.lazy_gram import grams_of
+from bayeq.inference.gram import Gram, grams_of
 from tests import reference
 
 OSCILLATOR = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u", "smooth": "none"}

@@ -12,7 +12,7 @@ import bayeq as bq
 from bayeq.cli.app import main
 from bayeq.errors import DataWarning, InputError, UnknownNameError
 from bayeq.inference.collapsed.slab import exact_posterior
-from bayeq.regression.by_likelihood import changes_by_noise
+from bayeq.regression.regression import changes_by_noise
 from bayeq.states import parse_chain
 from bayeq.states.sensors import scaled_with
 

@@ -7,6 +7,7 @@ import pytest
 
 import bayeq as bq
 from bayeq.errors import RecordError
+from bayeq.states.derive import require_varying
 
 SETTINGS = {"chains": "x:v:a", "inputs": ["u"]}
 
@@ -73,4 +74,4 @@ def test_what_is_constant_in_all_records_is_refused():
         bq.discover([decay, still], **SETTINGS)
     # a step from record to record is a change
     held = [forced.with_channels({"u": np.full(forced.n, level)}) for level in (1.0, 2.0)]
-    bq.states.require_varying(held, ["u"])
+    require_varying(held, ["u"])

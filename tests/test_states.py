@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from bayeq import Record, discover, simulate
 from bayeq.errors import ChainError, InputError, RecordError, UnknownNameError
-from bayeq.states import derive_states, parse_chain, parse_chains, require_varying
-from bayeq.states.derive import current
+from bayeq.states import parse_chain, parse_chains
+from bayeq.states.derive import current, derive_states, require_varying
 from bayeq.systems.system import BandLimitedForce, System
 
 

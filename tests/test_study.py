@@ -469,8 +469,12 @@ def test_claims_of_other_machines_count_until_they_end(tmp_path, monkeypatch):
     with Store(path, StudyConfig()) as store:
         ends = time.time() + 3.0
         keys = [("linear", 0, "vb"), ("linear", 1, "vb"), ("linear", 1, "rvm")]
-        assert store.claim(keys, "elsewhere:1:a", ends, lambda *_: False) == keys
-        assert store.claim(keys, "nowhere:1:b", ends, lambda *_: False) == []
+        with sqlite3.connect(path) as connection:
+            claimed = [(*key, "elsewhere:1:a", ends) for key in keys]
+            connection.executemany("INSERT INTO claims VALUES (?, ?, ?, ?, ?)", claimed)
+        connection.close()
+        with Claims(store) as claims:
+            assert claims.free(keys) == ()
         seen = []
         outcome = study(
             path, realisations=2, systems=["linear"], progress=lambda *step: seen.append((step, time.time()))

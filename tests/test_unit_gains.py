@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import warnings
 from dataclasses import replace
 from functools import cache
@@ -15,8 +16,8 @@ from bayeq.errors import BayeqWarning, InputError
 from bayeq.forecast.free_run import typical_period
 from bayeq.forecast.rows import Rows
 from bayeq.numerics.rk4 import interpolant
-from bayeq.states import Roles, estimate_motion, parse_chain, rates, unit_gains
-from bayeq.states.sensors import _estimated
+from bayeq.states import Roles, estimate_motion, parse_chain, rates
+from bayeq.states.sensors import _estimated, of_no_unit, unit_gains
 
 G = 9.80665
 CHAIN = parse_chain("x:v:a")
@@ -208,7 +209,8 @@ def test_the_right_hand_side_is_in_the_units_of_the_states(plain):
 def test_the_period_is_that_of_the_motion():
     record = mm()
     eq = answer(mm)
-    rows = Rows(record.time, record.channels, {}, interpolant(record.time, record["u"][:, None], "cubic"))
+    driven, known = interpolant(record.time, record["u"][:, None], "cubic"), np.ones(record.n, dtype=np.bool_)
+    rows = Rows("", record.time, record.channels, {}, {}, known, driven)
     period = typical_period(eq.dynamics(), [rows])
     assert period == pytest.approx(2 * np.pi * duffing()["x"].std() / duffing()["v"].std())
 
@@ -314,3 +316,12 @@ def test_clipped_peaks_do_not_change_a_unit():
     assert any("left out as clipped" in str(one.message) for one in caught)
     assert not any("calibration" in str(one.message) for one in caught)
     assert abs(eq.physical()["k"].mean - 1000.0) < 4 * eq.physical()["k"].sd
+
+
+def test_a_velocity_that_no_unit_makes_the_derivative_is_not_found():
+    found = discover(in_units(1.0, 1.2, 1.0, **SI))
+    assert found.verdict.kind == "nearly true"
+    assert re.match(r"v is 1\.\d+ times what x gives, and no unit differs by that", found.verdict.reason)
+    assert of_no_unit(CHAIN, (1.0, 1e-3, 1.0 / G), {}) is None
+    assert of_no_unit(CHAIN, (1.0, 39.37, 1.0), {}) is None  # a unit that is not known here
+    assert of_no_unit(CHAIN, (1.0, 1.0, 0.8), SI) == ("a", "x", 0.8)

@@ -289,16 +289,7 @@ MOST_SHOWN = 40
 
 
 def require_kind(value: Any, kinds: type | tuple[type, ...], what: str, words: str) -> None:
-    """Raise an InputError unless a value is of some type.
-
-    Parameters
-    ----------
-    value : object
-        What was given.
-    kinds : type or tuple of types
-        What it may be.
-    what, words : str
-        The argument, and what it has to be, for the message.
+    """Raise an InputError that `what` must be `words`, unless a value is of some type.
 
     Examples
     --------

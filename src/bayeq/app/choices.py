@@ -1,7 +1,4 @@
-"""What is chosen on the page, above all the roles of channels, and the command that this makes.
-
-Commands are words for a process, never a line for a shell.
-"""
+"""What is chosen on the page, and the command that this makes: words for a process, never a line for a shell."""
 
 from __future__ import annotations
 
@@ -56,27 +53,8 @@ class Choice:
     offset: str = ""
 
 
-def proposed(info: Mapping[str, Any]) -> dict[str, Choice]:
-    """Likely roles by channel, from what ``bayeq info --json`` prints."""
-    out = {channel["name"]: Choice() for channel in info["channels"]}
-    number = 0
-    for chain in info["roles"]["chains"]:
-        names = chain.split(":")
-        roles = MOTION if len(names) == len(MOTION) else (STATE, RATE)
-        number += len(names) > 1  # a state alone needs no number, which the page need not show then
-        for name, role in zip(names, roles, strict=False):
-            if name in out:
-                out[name] = Choice(role, number if len(names) > 1 else 1)
-    for name in info["roles"]["inputs"]:
-        if name in out:
-            out[name] = Choice(INPUT)
-    return out
-
-
 def chains_of(choices: Mapping[str, Choice]) -> list[str]:
-    """The chains that roles make, as ``--chain`` takes them.
-
-    InputError: no channel moves, two have the same role of the same coordinate, or a rate has no state.
+    """The chains that roles make, as ``--chain`` takes them; InputError for none, or roles that contradict each other.
 
     Examples
     --------
@@ -140,9 +118,18 @@ class Choices:
     @classmethod
     def proposed(cls, info: Mapping[str, Any]) -> Choices:
         """What ``bayeq info --json`` proposes to run."""
+        roles = {channel["name"]: Choice() for channel in info["channels"]}
+        number = 0
+        for chain in info["roles"]["chains"]:
+            names = chain.split(":")
+            number += len(names) > 1  # a state alone needs no number, which the page need not show then
+            for name, role in zip(names, MOTION if len(names) == len(MOTION) else (STATE, RATE), strict=False):
+                if name in roles:
+                    roles[name] = Choice(role, number if len(names) > 1 else 1)
+        roles |= {name: Choice(INPUT) for name in info["roles"]["inputs"] if name in roles}
         words = shlex.split(info["next"]["command"] or "")[3:]
         options = dict(zip(words[::2], words[1::2], strict=False))
-        made = cls(roles=proposed(info))
+        made = cls(roles)
         made.dictionary = options.get("--dictionary", made.dictionary)
         made.reading |= {option: options[option] for option in READING if option in options}
         rate = options.get("--fs", "")
@@ -151,29 +138,15 @@ class Choices:
 
 
 def discover_command(files: Sequence[str], choices: Choices) -> list[str]:
-    """What finds the equations of one or several records; it writes `EQUATION` and `REPORT` where it is run.
-
-    InputError for roles that make no chain.
-    """
-    words = ["discover", *files, *choices.words]
-    for chain in chains_of(choices.roles):
-        words += ["--chain", chain]
+    """The command that finds the equations and writes `EQUATION` and `REPORT`; InputError for roles without a chain."""
+    chosen = [("--chain", chain) for chain in chains_of(choices.roles)]
+    chosen += [("--input", name) for name, choice in choices.roles.items() if choice.role == INPUT]
     for name, choice in choices.roles.items():
-        if choice.role == INPUT:
-            words += ["--input", name]
-    for name, choice in choices.roles.items():
-        if choice.unit.strip():
-            words += ["--units", f"{name}={choice.unit.strip()}"]
-        if choice.offset.strip():
-            words += ["--remove-offset", name if choice.offset.strip() == MEAN else f"{name}={choice.offset.strip()}"]
-    for option, text in (
-        ("--fs", choices.fs),
-        ("--dictionary", choices.dictionary),
-        ("--rows", choices.rows),
-        ("--band", choices.band),
-    ):
-        if text.strip():
-            words += [option, text.strip()]
-    for line in filter(None, map(str.strip, choices.constraints.splitlines())):
-        words += ["--constraint", line]
-    return [*words, "--save", EQUATION, "--report", REPORT]
+        unit, offset = choice.unit.strip(), choice.offset.strip()
+        chosen += [("--units", f"{name}={unit}")] if unit else []
+        chosen += [("--remove-offset", name if offset == MEAN else f"{name}={offset}")] if offset else []
+    chosen += [("--fs", choices.fs), ("--dictionary", choices.dictionary)]
+    chosen += [("--rows", choices.rows), ("--band", choices.band)]
+    chosen += [("--constraint", line) for line in choices.constraints.splitlines()]
+    words = [word for option, text in chosen if text.strip() for word in (option, text.strip())]
+    return ["discover", *files, *choices.words, *words, "--save", EQUATION, "--report", REPORT]

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from nicegui import background_tasks, ui
 
-from bayeq.app.choices import EQUATION, INPUT, RATE, READING, REPORT, ROLES, Choice
+from bayeq.app.choices import EQUATION, INPUT, RATE, READING, REPORT, ROLES
 from bayeq.app.session import LARGEST, LOOKING, Session, safe_name
 from bayeq.equation.report.page import STYLE
 from bayeq.errors import InputError
@@ -83,28 +83,11 @@ def refresh(*changed: str) -> None:
 def file_step(session: Session) -> None:
     """Choose a file, and see what is in it."""
 
-    async def kept(event: Any) -> Path | None:
-        try:
-            path = session.workspace.new_folder() / safe_name(event.file.name)
-            await event.file.save(path)
-        except OSError as error:
-            refused(f"the file cannot be kept in the folder for temporary files: {error.strerror or error}")
-            return None
-        return path
+    async def opened(path: Path) -> None:
+        await session.open(path, path.name)
 
-    async def dropped(event: Any) -> None:
-        path = await kept(event)
-        if path is not None:
-            await session.open(path, path.name)
-
-    async def added(event: Any) -> None:
-        path = await kept(event)
-        if path is not None:
-            session.further.append(path)
-            refresh("file")
-
-    def refused(words: str) -> None:
-        session.file_error = words
+    async def added(path: Path) -> None:
+        session.further.append(path)
         refresh("file")
 
     if session.busy == LOOKING:
@@ -115,7 +98,7 @@ def file_step(session: Session) -> None:
             stop_button(session)
     else:
         words = f"Drop a measured file here, up to {SIZE}: {FORMATS}."
-        _upload(dropped, refused, DROP.format(words=words, label="Choose a file", look="unelevated"))
+        _upload(session, opened, words=words, label="Choose a file", look="unelevated")
     if session.file_error:
         message(session.file_error, "error")
         text(
@@ -141,11 +124,25 @@ def file_step(session: Session) -> None:
                     text(path.name, tag="span")
                     ui.button("Leave out", on_click=partial(session.drop, path)).props("no-caps flat dense")
             words = "Add a record of the same channels: another run, of which the same equation is expected."
-            _upload(added, refused, DROP.format(words=words, label="Add a record", look="outline"))
+            _upload(session, added, words=words, label="Add a record", look="outline")
 
 
-def _upload(arrived: Callable[[Any], Any], refused: Callable[[str], None], header: str) -> None:
-    """A box that files are dropped into."""
+def _upload(session: Session, use: Callable[[Path], Awaitable[None]], **said: str) -> None:
+    """A box that files are dropped into, each of which is kept and then used."""
+
+    def refused(words: str) -> None:
+        session.file_error = words
+        refresh("file")
+
+    async def arrived(event: Any) -> None:
+        try:
+            path = session.workspace.new_folder() / safe_name(event.file.name)
+            await event.file.save(path)
+        except OSError as error:
+            refused(f"the file cannot be kept in the folder for temporary files: {error.strerror or error}")
+        else:
+            await use(path)
+
     upload = ui.upload(
         on_upload=arrived,
         on_rejected=lambda: refused(f"the file is larger than {SIZE}: open it where it is, by bayeq app FILE"),
@@ -153,7 +150,7 @@ def _upload(arrived: Callable[[Any], Any], refused: Callable[[str], None], heade
         auto_upload=True,
     )
     upload.props("flat").classes("drop")
-    upload.add_slot("header", header)
+    upload.add_slot("header", DROP.format(**said))
     upload.on("failed", lambda: refused(f"the file did not arrive: is it larger than {SIZE}, or was it moved?"))
 
 
@@ -197,23 +194,46 @@ def choice_steps(session: Session) -> None:
 
 
 def stop_button(session: Session) -> Any:
-    """The button that stops what is being done."""
     made = ui.button("Stop", on_click=lambda: background_tasks.create(session.stop()))
     return made.props("no-caps outline color=negative")
 
 
 @ui.refreshable
 def channels(session: Session, several: bool) -> None:
-    """Roles, with numbers of coordinates where there are several."""
+    """A row for each channel: its name, what it is like, its role, and its coordinate where there are several."""
+    choices = session.choices.roles
 
     def number(event: Any) -> None:
         if not event.value:
-            for choice in session.choices.roles.values():
+            for choice in choices.values():
                 choice.coordinate = 1
         channels.refresh(session, event.value)
 
     assert session.opened is not None
-    channel_rows(session.opened.info, session.choices.roles, several)
+    found = sorted(session.opened.info["channels"], key=lambda one: not choices[one["name"]].role)
+    with ui.element("div").classes("channels several" if several else "channels"):
+        for channel in found[:MOST_CHANNELS]:
+            name, choice = channel["name"], choices[channel["name"]]
+            unit = f" [{channel['unit']}]" if channel["unit"] else ""
+            text(name + unit, "channel-name", "div")
+            text(_about(channel), "channel-about", "div")
+            role = ui.select(ROLES, label=f"Role of {name}").props("outlined dense options-dense").classes("role")
+            role.bind_value(choice, "role").on_value_change(command_step.refresh)
+            for what in ("unit", "offset"):
+                made = text_field(what.capitalize(), "", choice, what)
+                made.props["aria-label"] = f"{what.capitalize()} of {name}"  # set so, a name is no option
+            if several:
+                numbers = list(range(1, max(MOST_COORDINATES, choice.coordinate) + 1))
+                made = ui.select(numbers, label="Coordinate").props("outlined dense options-dense")
+                made.props["aria-label"] = f"Coordinate of {name}"
+                made.bind_value(choice, "coordinate").on_value_change(command_step.refresh)
+                made.bind_visibility_from(choice, "role", lambda role: role not in ("", INPUT))
+    if len(found) > MOST_CHANNELS:
+        message(
+            f"The file has {len(found)} channels; the first {MOST_CHANNELS} are offered here. For others, write the"
+            " command below in a terminal.",
+            "said",
+        )
     ui.checkbox("Several coordinates, such as two masses", value=several, on_change=number)
 
 
@@ -276,7 +296,6 @@ def command(words: str) -> None:
 
 
 def heading(number: int, title: str) -> None:
-    """The title of a step."""
     ui.html(f"{number}. {title}", tag="h2", sanitize=False)
 
 
@@ -319,41 +338,7 @@ def in_a_line(info: Mapping[str, Any]) -> str:
     return f"{info['rows']} rows {steps} {time['fs']:.6g} Hz, {time['duration']:.6g} s; {channels}"
 
 
-def channel_rows(info: Mapping[str, Any], choices: dict[str, Choice], several: bool) -> None:
-    """A row for each channel: its name, what it is like, and its role."""
-    channels = sorted(info["channels"], key=lambda one: not choices[one["name"]].role)
-    with ui.element("div").classes("channels several" if several else "channels"):
-        for channel in channels[:MOST_CHANNELS]:
-            name, choice = channel["name"], choices[channel["name"]]
-            unit = f" [{channel['unit']}]" if channel["unit"] else ""
-            text(name + unit, "channel-name", "div")
-            text(_about(channel), "channel-about", "div")
-            role = ui.select(ROLES, label=f"Role of {name}").props("outlined dense options-dense").classes("role")
-            role.bind_value(choice, "role").on_value_change(command_step.refresh)
-            for what in ("unit", "offset"):
-                made = text_field(what.capitalize(), "", choice, what)
-                made.props["aria-label"] = f"{what.capitalize()} of {name}"  # set so, a name is no option
-            if several:
-                _coordinate(name, choice)
-    if len(channels) > MOST_CHANNELS:
-        message(
-            f"The file has {len(channels)} channels; the first {MOST_CHANNELS} are offered here. For others, write the"
-            " command below in a terminal.",
-            "said",
-        )
-
-
-def _coordinate(name: str, choice: Choice) -> None:
-    """Of which coordinate a channel is."""
-    numbers = list(range(1, max(MOST_COORDINATES, choice.coordinate) + 1))
-    made = ui.select(numbers, label="Coordinate").props("outlined dense options-dense")
-    made.props["aria-label"] = f"Coordinate of {name}"
-    made.bind_value(choice, "coordinate").on_value_change(command_step.refresh)
-    made.bind_visibility_from(choice, "role", lambda role: role not in ("", INPUT))
-
-
 def _about(channel: Mapping[str, Any]) -> str:
-    """Range, and what is wrong with a channel."""
     if channel["min"] is None:
         return "no numbers in it"
     if channel["constant"]:

@@ -1,24 +1,24 @@
-"""One page for one browser on this computer, and who may talk to it.
-
-That is the browser that was given its address, on this computer, and no other page in it.
-"""
+"""One page for one browser on this computer: the one that was given its address, and no other page in it."""
 
 from __future__ import annotations
 
 import hmac
 import logging
+import os
 import secrets
 import signal
 import socket
 import tempfile
 import webbrowser
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from bayeq.app.choices import EQUATION, REPORT
 from bayeq.app.session import LARGEST, Session, Workspace
 from bayeq.errors import InputError, needing
-from bayeq.resumable.posix import POSIX, on_signal
+from bayeq.resumable.posix import on_signal
 
 # Of an upload, beside the file [bytes].
 AROUND = 100_000
@@ -117,10 +117,13 @@ GRACE = 1
 def serve(file: Path | None, port: int, browser: bool, say: Callable[[str], None]) -> None:
     """Show the page until it is interrupted, on a port of this computer alone (0: a free one).
 
-    A file is opened where it is; `say` is called with the address. MissingExtraError where the framework, or what
-    reports need, is not installed; InputError for a file that is not there, or a port in use.
+    A file is opened where it is; `say` is called with the address. InputError for a file or a port that cannot be used.
     """
-    _require_extra()
+    with needing("nicegui", "app", "the local page"):
+        import nicegui  # noqa: F401
+    from bayeq.equation.report.page import require_report
+
+    require_report()
     if file is not None and not file.is_file():
         raise InputError(f"{file}: there is no such file")
     listening = _listening(port)
@@ -148,7 +151,6 @@ def serve(file: Path | None, port: int, browser: bool, say: Callable[[str], None
 def _run(
     session: Session, file: Path | None, host: str, token: str, listening: socket.socket, ready: Callable[[], None]
 ) -> None:
-    """Serve until the end."""
     import uvicorn
     from fastapi import FastAPI
     from fastapi.responses import FileResponse, PlainTextResponse
@@ -161,13 +163,12 @@ def _run(
     api = FastAPI(openapi_url=None)
 
     def written(name: str, kind: str) -> Any:
-        path = getattr(session.result, name, None)
-        if path is None or not path.is_file():
+        if session.result is None or not (path := session.result.folder / name).is_file():
             return PlainTextResponse("there is no result yet\n", status_code=404)
         return FileResponse(path, media_type=kind, headers={"Cache-Control": "no-store"})
 
-    api.get("/report.html")(lambda: written("report", "text/html; charset=utf-8"))
-    api.get("/equation.json")(lambda: written("equation", "application/json"))
+    for name, kind in ((REPORT, "text/html; charset=utf-8"), (EQUATION, "application/json")):
+        api.get(f"/{name}")(partial(written, name, kind))
     ui.page("/")(lambda: build(session))
 
     @app.on_startup
@@ -184,24 +185,10 @@ def _run(
 
 
 def _listening(port: int) -> socket.socket:
-    """A socket on this computer's own address."""
-    made = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    if POSIX:  # a port that has just been left can be used again
-        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    if not 0 <= port <= 65535:
+        raise InputError(f"--port {port}: a port is a number from 0 to 65535; leave it out for a free one")
     try:
-        made.bind((HOST, port))
-    except (OSError, OverflowError) as error:
-        made.close()
-        why = getattr(error, "strerror", None) or "a port is a number from 0 to 65535"
+        return socket.create_server((HOST, port))
+    except OSError as error:
+        why = os.strerror(error.errno or 0)
         raise InputError(f"--port {port}: {why}; leave it out for a free one") from None
-    made.listen()
-    return made
-
-
-def _require_extra() -> None:
-    """Check that the page can be shown and a report be made."""
-    with needing("nicegui", "app", "the local page"):
-        import nicegui  # noqa: F401
-    from bayeq.equation.report.page import require_report
-
-    require_report()

@@ -1,7 +1,4 @@
-"""What was opened, chosen and found, one for the page however many windows show it, and the private folder for it.
-
-What is done is a command of bayeq in a process of its own.
-"""
+"""What was opened, chosen and found, and the private folder for it; commands in processes of their own do the work."""
 
 from __future__ import annotations
 
@@ -18,9 +15,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic
-from typing import Any
+from typing import Any, NamedTuple
 
-from bayeq.app.choices import EQUATION, REPORT, Choices, discover_command
+from bayeq.app.choices import Choices, discover_command
 from bayeq.errors import InputError
 from bayeq.resumable.posix import KILL, has_ended, is_of_this_user, signal_group
 
@@ -54,21 +51,11 @@ class Opened:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What was found: the number of the run, from 1, the folder of its files, and the name of the record."""
+    """What was found: the number of the run, from 1, the folder with `EQUATION` and `REPORT`, and the record's name."""
 
     number: int
     folder: Path
     name: str
-
-    @property
-    def equation(self) -> Path:
-        """The equations, for `bayeq.load`."""
-        return self.folder / EQUATION
-
-    @property
-    def report(self) -> Path:
-        """The page."""
-        return self.folder / REPORT
 
 
 class Workspace:
@@ -78,14 +65,10 @@ class Workspace:
         _remove_abandoned()
         # resolved, as messages of commands that are run in it have no other name for it
         self.path = Path(tempfile.mkdtemp(prefix=f"{_PREFIX}{os.getpid()}-")).resolve()  # mkdtemp makes it private
-        self._count = 0
 
     def new_folder(self) -> Path:
         """An empty folder in it, for a file or a result."""
-        self._count += 1
-        folder = self.path / str(self._count)
-        folder.mkdir(mode=0o700)
-        return folder
+        return Path(tempfile.mkdtemp(dir=self.path))
 
     def remove(self, folder: Path | None = None) -> None:
         """Remove a folder in it, or all of it; ValueError for a folder that is not in it."""
@@ -105,11 +88,7 @@ def _remove_abandoned() -> None:
 
 
 class Session:
-    """The state of the page, and what can be done with it.
-
-    `changed` is called with the parts of the page that are no longer right: "file", "command", "run", "result",
-    "progress".
-    """
+    """The state of the page; `changed` is called with those parts of the page that have to be shown again."""
 
     def __init__(self, workspace: Workspace) -> None:
         self.workspace = workspace
@@ -222,7 +201,6 @@ class Session:
             self.changed("run", "result")
 
     async def stop(self) -> None:
-        """Stop what is being done."""
         if self._child is not None:
             await self._child.stop()
 
@@ -258,9 +236,7 @@ class Session:
 
 
 def safe_name(name: str) -> str:
-    """A name of a file that came from a browser, as one that can be used: no folder, no sign that means something.
-
-    The ending stays, since it says the format.
+    """A name of a file from a browser as one that can be used, without folders and signs that mean something.
 
     Examples
     --------
@@ -290,8 +266,7 @@ GRACE = 3.0
 _ERROR = "bayeq: error: "
 
 
-@dataclass(frozen=True, slots=True)
-class Outcome:
+class Outcome(NamedTuple):
     """How a command ended: what it printed, why it failed (a line; empty if it did not), whether it was stopped."""
 
     out: str
@@ -308,7 +283,6 @@ class Child:
         self._process: asyncio.subprocess.Process | None = None
 
     async def run(self) -> Outcome:
-        """Run it to its end."""
         # -P, and no empty entry in PYTHONPATH: a file in the folder that is called numpy.py is not imported
         paths = filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(os.path.abspath, paths))}
@@ -329,10 +303,9 @@ class Child:
         assert process.stderr is not None
         out, lines = await asyncio.gather(process.stdout.read(), self._lines(process.stderr))
         code = await process.wait()
-        printed = out.decode(errors="replace")
-        if self.stopped:
-            return Outcome(printed, stopped=True)
-        return Outcome(printed, _reason(lines, code) if code else "")
+        return Outcome(
+            out.decode(errors="replace"), _reason(lines, code) if code and not self.stopped else "", self.stopped
+        )
 
     async def _lines(self, stream: asyncio.StreamReader) -> list[str]:
         lines = []

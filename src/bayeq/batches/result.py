@@ -75,10 +75,7 @@ def _plain(value: object) -> Any:
 
 
 def fixed_terms(options: Mapping[str, Any], common: Mapping[str, Any]) -> dict[str, Any]:
-    """The options of `discover` for one file with the terms of the `common` equation, as it is saved, and no others.
-
-    InputError for an equation without terms.
-    """
+    """The options of `discover` for one file, with the terms of the `common` equation alone; InputError without any."""
     terms = {
         one["target"]: [_with_ranges(t["name"], one) for t in one["terms"] if t["shown"]] for one in common["equations"]
     }
@@ -148,10 +145,7 @@ class Identity:
 
 
 def files_of(sources: Sequence[str | os.PathLike[str]]) -> tuple[Path, ...]:
-    """The files, and those of each folder whose suffix is that of a known format, in the order of their numbers.
-
-    InputError for a folder without such files, no files at all, or one that is named twice.
-    """
+    """Files, and those of folders, in the order of their numbers; InputError for none, or one that is named twice."""
     paths = [as_path(source, "each of the files") for source in sources]
     for path in paths:
         try:
@@ -233,8 +227,7 @@ class Batch:
     """
 
     def __init__(self, files: tuple[BatchFile, ...], common: Mapping[str, Any] | None, done: int) -> None:
-        self.files, self.done = files, done
-        self._common = common
+        self.files, self._common, self.done = files, common, done
 
     def __len__(self) -> int:
         return len(self.files)
@@ -318,7 +311,7 @@ class Batch:
         the root mean square of its sd, about 1 if it is the same in all files.
         """
         count = len(self.files)
-        lines = [f"{count} file{'' if count == 1 else 's'}, {count - len(self.refused)} with equations"]
+        lines = [f"{count} file{'s' * (count != 1)}, {count - len(self.refused)} with equations"]
         rows = self.rows()
         for target in dict.fromkeys(row["target"] for row in rows):
             own = [row for row in rows if row["target"] == target]
@@ -329,8 +322,8 @@ class Batch:
             lines += [head, *(_line(own, term) for term in dict.fromkeys(row["term"] for row in own))]
             if not all(row["shown"] for row in own if row["term"] != CONSTANT):
                 lines += ["", f"  {DIFFERENT}"]
-            units = {term: {row["unit"] for row in own if row["term"] == term} for term in {row["term"] for row in own}}
-            mixed = sorted(term for term, found in units.items() if len(found) > 1)
+            units = Counter(term for term, _ in {(row["term"], row["unit"]) for row in own})
+            mixed = sorted(term for term, count in units.items() if count > 1)
             if mixed:
                 lines += ["", f"  {UNITS.format(', '.join(mixed))}"]
         return "\n".join(lines)
@@ -341,34 +334,24 @@ def _equations(content: Mapping[str, Any] | None) -> list[Mapping[str, Any]]:
 
 
 def _terms(equation: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """What rows say of the terms of an equation, the constants inside them, and the constant.
+    """Rows of the terms of an equation, of the constants inside them, and of its constant."""
 
-    The constant is in the equation where it is written out.
-    """
-
-    def row(
-        name: str,
-        coef: float,
-        sd: float,
-        ci95: Sequence[float],
-        pip: float | None,
-        included: bool,
-        shown: bool,
-        unit: Any,
-    ) -> dict[str, Any]:
-        stated = (pip, included, shown, equation["verdict"]["kind"], unit)
-        return dict(zip(COLUMNS[2:], (equation["target"], name, coef, sd, *sorted(ci95), *stated), strict=True))
+    def row(name: str, *numbers: Any, unit: Any = None) -> dict[str, Any]:
+        coef, sd, ci95, pip, included, shown = numbers
+        cells = (equation["target"], name, coef, sd, *sorted(ci95), pip, included, shown, equation["verdict"]["kind"])
+        return dict(zip(COLUMNS[2:], (*cells, unit), strict=True))
 
     visible = {term["name"] for term in equation["terms"] if term["shown"]}
-    names = ("name", "shown_coef", "shown_sd", "printed_ci95", "pip", "included", "shown", "unit")
-    terms = [row(*(term[name] for name in names)) for term in equation["terms"]]
+    names = ("name", "shown_coef", "shown_sd", "printed_ci95", "pip", "included", "shown")
+    terms = [row(*(term[name] for name in names), unit=term["unit"]) for term in equation["terms"]]
     for one in equation.get("constants", ()):
         if one["sd"] is not None and visible & set(one["terms"]):
             sd = one["sd"] * (abs(one["value"]) if one["logarithmic"] else 1.0)
-            terms.append(row(f"{{{one['name']}}}", one["value"], sd, one["ci95"], None, True, True, one.get("unit")))
+            name = f"{{{one['name']}}}"
+            terms.append(row(name, one["value"], sd, one["ci95"], None, True, True, unit=one.get("unit")))
     interval, pip = equation["intercept_printed_ci95"], equation["intercept_pip"]
     matters = pip > 0.5 if pip is not None else min(interval) > 0.0 or max(interval) < 0.0
-    intercept = (equation["intercept"], equation["intercept_sd"], interval, pip, matters, matters, None)
+    intercept = (equation["intercept"], equation["intercept_sd"], interval, pip, matters, matters)
     return [*terms, row(CONSTANT, *intercept)]
 
 

@@ -200,19 +200,15 @@ class BatchStore(ResultStore):
         return any(Identity(*row).holds(path or Path(key[0])) for row in rows)
 
     def outcome(self, path: Path, key: Key) -> BatchFile | None:
-        """What became of a file."""
         with self._guard():
-            for status, message, answer in self._read(
-                f"SELECT status, message, answer FROM files WHERE {self._is_key}", key
-            ):
-                return BatchFile(str(path), status, message, None if answer is None else json.loads(answer))
+            rows = self._read(f"SELECT status, message, answer FROM files WHERE {self._is_key}", key)
+            for status, message, answer in rows:
+                return BatchFile(str(path), status, message, answer and json.loads(answer))
         return None
 
-    def add_common(self, options: str, contents: str, answer: Mapping[str, Any]) -> None:
-        """Write the common equation of files of these contents."""
-        self._write(
-            "INSERT OR REPLACE INTO common VALUES (?, ?, ?)", (options, contents, json.dumps(answer, allow_nan=False))
-        )
+    def add_common(self, options: str, contents: str, answer: str) -> None:
+        """Write the common equation, as JSON, of files of these contents."""
+        self._write("INSERT OR REPLACE INTO common VALUES (?, ?, ?)", (options, contents, answer))
 
     def common(self, options: str, contents: str) -> Mapping[str, Any] | None:
         """The common equation of files of these contents, if it has been found."""
@@ -267,12 +263,11 @@ def _common(
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", BayeqWarning)
             without_time = {name: value for name, value in options.items() if name not in ("t", "stream")}
-            store.add_common(asked, contents, to_saved(discover(sources, **without_time, progress=step)))
+            answer = json.dumps(to_saved(discover(sources, **without_time, progress=step)), allow_nan=False)
     except InputError as error:
         raise InputError(f"no common equation: {error}") from None
-    found = store.common(asked, contents)
-    assert found is not None
-    return found
+    store.add_common(asked, contents, answer)
+    return dict(json.loads(answer))
 
 
 def _contents(identities: Iterable[Identity]) -> str:

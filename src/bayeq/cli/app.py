@@ -43,16 +43,11 @@ COMPLETE = "_BAYEQ_COMPLETE"
 
 
 @click.group(invoke_without_command=True, context_settings={"help_option_names": ["-h", "--help"]})
-@click.option("--version", is_flag=True, help="Print the version and stop.")
+@click.version_option(package_name="bayeq", message="%(version)s", help="Print the version and stop.")
 @click.option("--cite", is_flag=True, help="Print what to cite, also as BibTeX, and stop.")
 @click.pass_context
-def app(context: click.Context, version: bool, cite: bool) -> None:
+def app(context: click.Context, cite: bool) -> None:
     """Bayesian equation discovery: measured motion in, governing equation with honest uncertainty out."""
-    if version:
-        from importlib.metadata import version as version_of
-
-        click.echo(version_of("bayeq"))
-        context.exit()
     if cite:
         from bayeq.citation import citation
 

@@ -162,18 +162,10 @@ class _Method(click.Choice):  # type: ignore[type-arg]  # generic in the latest 
 )
 @opt.json_option(group=opt.WRITTEN)
 @opt.file_written("--save", help="Write the equations to a JSON file, for bayeq.load.")
+@opt.file_written("--sensitivity", help=f"Write the PIPs under other v_s and p_0{opt.TABLE_OR_FIGURE}")
+@opt.file_written("--path", help=f"Write the best equation of each size, with evidence and errors{opt.TABLE_OR_FIGURE}")
 @opt.file_written(
-    "--sensitivity", help="Write the PIPs under other v_s and p_0: a table (.csv) or a figure (.png, .svg, .pdf)."
-)
-@opt.file_written(
-    "--path",
-    help="Write the best equation of each size, with evidence and errors: a table (.csv) or a figure (.png, .svg,"
-    " .pdf).",
-)
-@opt.file_written(
-    "--forecast",
-    help="Write the free run over the held-out rows, with its 95 % band: a table (.csv) or a figure (.png, .svg,"
-    " .pdf).",
+    "--forecast", help=f"Write the free run over the held-out rows, with its 95 % band{opt.TABLE_OR_FIGURE}"
 )
 @opt.file_written(
     "--report",
@@ -400,7 +392,6 @@ class _FileReading:
 
 
 def _show(found: Batch, store: Path, as_json: bool) -> None:
-    """Print the batch as text, or as one JSON object."""
     if not as_json:
         click.echo(str(found))
         return

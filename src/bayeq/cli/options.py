@@ -1,7 +1,4 @@
-"""What the options of the commands have in common: groups of the help, values, and channels.
-
-Options name channels by ``x``, by a header such as ``Displ. (m)``, or by a path in a file, ``th=Y_id[0].0``.
-"""
+"""What the options of the commands have in common: groups of the help, values, and channels by name, header or path."""
 
 from __future__ import annotations
 
@@ -20,6 +17,9 @@ from bayeq.kernels import announce_compiling
 
 # The group of options that say what is written.
 WRITTEN = "What to write"
+
+# The end of the help of options that write either.
+TABLE_OR_FIGURE = ": a table (.csv) or a figure (.png, .svg, .pdf)."
 
 #: What adds an option to the function of a command.
 Decorator = Callable[[Any], Any]
@@ -89,7 +89,6 @@ class Command(click.Command):
         return super().invoke(ctx)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the options by their groups."""
         groups: dict[str, list[tuple[str, str]]] = {}
         for parameter in self.get_params(ctx):
             row = parameter.get_help_record(ctx)
@@ -102,7 +101,6 @@ class Command(click.Command):
                 formatter.write_dl(rows)
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the examples, line by line."""
         for line in (self.epilog or "").splitlines():
             formatter.write(f"{line}\n")
 
@@ -137,10 +135,9 @@ def by_name(where: str, texts: Iterable[str], how: str, split: Callable[..., Any
 
 
 def named_channels(options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
-    """The options of a command with channels by their names, and the paths of those written ``name=path``.
+    """The options of a command with channels by their names, and paths by name, if one is written ``name=path``.
 
-    The paths, by name, are those of every channel that is used; there are none if no channel is written so. InputError
-    for a name that terms cannot use, or one with two paths.
+    InputError for a name that terms cannot use, or one with two paths.
     """
     named = Names()
     out = dict(options)
@@ -157,8 +154,6 @@ def named_channels(options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str
 
 def channel_name(name: str) -> str:
     """A channel by its name or by its header in the file, such as ``Displ. (m)``."""
-    if name.isidentifier():
-        return name
     from bayeq.records.names import channel_name as of_header
 
     return of_header(name)

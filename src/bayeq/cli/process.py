@@ -1,7 +1,4 @@
-"""The command as a process of its own: Ctrl-C at any moment is one line, whatever it falls into.
-
-`bayeq.cli.app.main` may be called by other programs, whose handling of signals is theirs; `run` is the process.
-"""
+"""The command as a process, in which Ctrl-C at any moment is one line; `bayeq.cli.app.main` leaves signals alone."""
 
 from __future__ import annotations
 

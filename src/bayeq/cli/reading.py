@@ -1,7 +1,4 @@
-"""Files to records, as the options about reading say, which `discover` and `predict` have in common.
-
-In this order: the file is read (lines passed over, units, time), joined with others, rows are taken, offsets removed.
-"""
+"""Files to records, as the options say: read (units, time), joined with others, rows taken, offsets removed."""
 
 from __future__ import annotations
 
@@ -72,10 +69,7 @@ reading_options = opt.together(*_OF_FILES, *_OTHERS)
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What the options say about reading; `offsets` are subtracted, None for the mean.
-
-    `stream` is whether files are read some rows at a time; None where their size decides.
-    """
+    """What the options about reading say; offsets of None are means, a `stream` of None goes by the size of files."""
 
     time: str | None = None
     fs: float | None = None
@@ -124,10 +118,7 @@ class Reading:
         return replace(self, stream=True)
 
     def extents(self, files: Sequence[Path], paths: Mapping[str, str]) -> list[Extent]:
-        """The rows of files that are read some at a time.
-
-        An InputError says which option takes whole records, which file cannot be read, or that rows are not there.
-        """
+        """The rows of files that are read some at a time; InputError for an option that takes whole records."""
         from bayeq.discovery.streaming.work import Extent
         from bayeq.records.stream import open_streams
 
@@ -157,12 +148,9 @@ class Reading:
         paths: Mapping[str, str],
         progress: Callable[[str, int, int], None],
     ) -> list[Record]:
-        """The records of the files; ``-`` is standard input, and channels that are not used need not be numbers.
-
-        InputError for a file that is named twice or cannot be read, a channel that is not there, a rate that
-        contradicts the file, rows that are not there.
-        """
-        from bayeq.records import with_row_numbers
+        """The records of the files; ``-`` is standard input, and channels that are not used need not be numbers."""
+        from bayeq.records import remove_offset, with_row_numbers
+        from bayeq.records.io import rows_of
 
         _require_different(files)
         wanted = list(dict.fromkeys([*used, *self.offsets]))
@@ -171,23 +159,18 @@ class Reading:
             progress("reading", k, len(files))
             with _opened(file) as path:
                 parts.append(self._read(path, wanted, paths))
-        self._require_units_used(parts)
-        records = _join(parts) if self.join else [record for part in parts for record in part]
-        return with_row_numbers([self._altered(record) for record in records])
-
-    def _altered(self, record: Record) -> Record:
-        """The rows that are used, without offsets."""
-        from bayeq.records import remove_offset
-        from bayeq.records.io import rows_of
-
-        if self.rows is not None and self.join:
-            record = rows_of(record, self.rows)
+        records = [record for part in parts for record in part]
+        if self.join:
+            known = sorted({name for record in records for name in record.names})
+            for name in self.units:  # of a channel that none of the files has
+                if opt.channel_name(name) not in known and name not in ("t", self.time):
+                    raise UnknownNameError("channel", name, known, "--units")
+            records = [record if self.rows is None else rows_of(record, self.rows) for record in _join(parts)]
         for name, value in self.offsets.items():
-            record = remove_offset(record, name, value)
-        return record
+            records = [remove_offset(record, name, value) for record in records]
+        return with_row_numbers(records)
 
     def _read(self, file: Path, used: Sequence[str], paths: Mapping[str, str]) -> list[Record]:
-        """The records of one file."""
         from bayeq.records import read
         from bayeq.records.names import is_time_name
 
@@ -211,15 +194,6 @@ class Reading:
                 for name in filter(is_time_name, record.names):
                     _require_rate(record, name)
         return records
-
-    def _require_units_used(self, parts: Sequence[Sequence[Record]]) -> None:
-        """Refuse a unit of a channel that none of the files that are joined has."""
-        if not self.join:
-            return
-        known = sorted({name for part in parts for record in part for name in record.names})
-        for name in self.units:
-            if opt.channel_name(name) not in known and name not in ("t", self.time):
-                raise UnknownNameError("channel", name, known, "--units")
 
 
 def _units(texts: Sequence[str], scales: Sequence[str]) -> dict[str, str]:

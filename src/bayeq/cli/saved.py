@@ -1,7 +1,4 @@
-"""Commands about saved equations: `bayeq show`; `bayeq predict` of another record, `bayeq plan` of the next one.
-
-And `bayeq benchmark`, the row of a table for measured data with an official split into training and test.
-"""
+"""Commands about saved equations: `bayeq show`, `predict`, `plan`; and `benchmark`, for data with an official test."""
 
 from __future__ import annotations
 
@@ -91,9 +88,7 @@ def show(
 @opt.written("--draws", type=int, default=200, help="Runs with coefficients from the posterior, for bands.")
 @opt.written("--seed", type=int, default=0, help="Seed of these.")
 @opt.json_option(group=opt.WRITTEN)
-@opt.file_written(
-    "--forecast", help="Write the free run with its 95 % band: a table (.csv) or a figure (.png, .svg, .pdf)."
-)
+@opt.file_written("--forecast", help=f"Write the free run with its 95 % band{opt.TABLE_OR_FIGURE}")
 @_verbose
 def predict(
     equations: Path,

@@ -180,7 +180,6 @@ def _run_of_others(
     form: str,
     **how: Any,
 ) -> None:
-    """Run the cells that are asked for, and print their table."""
     from bayeq.study.cells import run_cells
 
     names = None if systems is None else _names(systems)
@@ -200,5 +199,4 @@ def _run_of_others(
 
 
 def _names(text: str) -> list[str]:
-    """The names in a list separated by commas."""
     return [name.strip() for name in text.split(",") if name.strip()]

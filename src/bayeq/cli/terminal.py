@@ -8,13 +8,13 @@ import shlex
 import sys
 import threading
 import time as clock
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, fields
 from functools import partial
 from io import TextIOWrapper
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
@@ -104,12 +104,8 @@ INTERVAL = 10.0
 MANY = 1000
 
 
-class Progress:
-    """What is being done; call it with (stage, done, total).
-
-    A thread watches, for a stage may take minutes without a call. With `verbose` every stage is named at once, and how
-    long it took.
-    """
+class Progress(AbstractContextManager["Progress"]):
+    """What is being done, called with (stage, done, total) and watched by a thread; `verbose` names each stage."""
 
     def __init__(self, verbose: bool = False) -> None:
         self.verbose = verbose
@@ -118,13 +114,9 @@ class Progress:
         self.began = self.said = clock.monotonic()
         self.named = ""  # the stage that was named last
         self.bar: Any = None
-        self.task: Any = None
         self.stop = threading.Event()
         self.lock = threading.Lock()
         self.watch: threading.Thread | None = None
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
@@ -142,7 +134,7 @@ class Progress:
                     say(f"bayeq: {stage} ...")
             self.done, self.total = done, total
             if self.bar is not None:
-                self.bar.update(self.task, description=self._described(), completed=done, total=total)
+                self.bar.update(self.bar.task_ids[0], description=self._described(), completed=done, total=total)
 
     def close(self) -> None:
         """Take the bar away, and be silent until the next call."""
@@ -173,36 +165,27 @@ class Progress:
         now = clock.monotonic()
         if _is_terminal() and not self.verbose:
             if self.bar is None:
-                self._open_bar()
+                from rich.console import Console
+                from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+                from rich.progress import Progress as Bar
+
+                columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+                self.bar = Bar(*columns, console=Console(stderr=True), transient=True)
+                self.bar.start()
+                self.bar.add_task(self._described(), completed=self.done, total=self.total)
         elif self.stage != self.named or now - self.said >= INTERVAL:
             if self.stage == self.named or not self.verbose:  # which has named it when it began
-                left = self._left(now) if self.total > 1 else ""
-                spent = f", {now - self.began:.0f} s" if now - self.began >= 1.0 else ""
-                say(f"{PROGRESS}{self._described()}{left}{spent}")
+                done, spent, left = self.done - self.first, now - self.began, ""
+                if self.total > 1 and done > 0 and spent > 0.0:
+                    rate = f"{done / spent:,.0f} a second, " if self.total >= MANY else ""
+                    left = f" ({rate}{(self.total - self.done) * spent / done:.0f} s left)"
+                since = f", {spent:.0f} s" if spent >= 1.0 else ""
+                say(f"{PROGRESS}{self._described()}{left}{since}")
             self.said, self.named = now, self.stage
 
     def _described(self) -> str:
-        """The stage in words, and how much of it is done."""
         count = f", {self.done:,} of {self.total:,}" if self.total > 1 else ""
         return STAGES.get(self.stage, self.stage) + count
-
-    def _left(self, now: float) -> str:
-        """The rate, of rows, and the time that is left."""
-        done, spent = self.done - self.first, now - self.began
-        if done <= 0 or spent <= 0.0:
-            return ""
-        rate = f"{done / spent:,.0f} a second, " if self.total >= MANY else ""
-        return f" ({rate}{(self.total - self.done) * spent / done:.0f} s left)"
-
-    def _open_bar(self) -> None:
-        from rich.console import Console
-        from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-        from rich.progress import Progress as Bar
-
-        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-        self.bar = Bar(*columns, console=Console(stderr=True), transient=True)
-        self.bar.start()
-        self.task = self.bar.add_task(self._described(), completed=self.done, total=self.total)
 
 
 def _is_terminal() -> bool:
@@ -239,11 +222,7 @@ class Outputs:
     explain: bool = False
 
     def check(self, files: Sequence[Path], options: Mapping[str, Any], as_json: bool = False) -> None:
-        """Refuse, before the work, what could not be done after it; `files` are the records that are read.
-
-        InputError for a file that cannot be written, is one of the records or is named twice, or for a method or an
-        order that does not go with what is asked for; MissingExtraError for what is not installed.
-        """
+        """Refuse, before the work, what could not be done after it; `files` are the records that are read."""
         if self.explain and as_json:
             raise InputError("--explain explains the text, and --json prints none; leave one of them out")
         if self.refine and options.get("target"):
@@ -254,6 +233,8 @@ class Outputs:
             raise InputError(f"{asked}: static laws (--target) have no motion; leave it out")
         if (self.refine or self.physical) and options.get("discrete"):
             raise InputError(f"--{'refine' if self.refine else 'physical'}: not of maps (--discrete); leave it out")
+        parts = (part.strip() for text in options["dictionaries"] for part in (text, text.partition(":")[2]))
+        read = [*files, *(Path(part) for part in parts if part and os.path.isfile(part))]  # with files of terms
         seen: dict[Path, str] = {}
         for name, (purpose, kind) in PURPOSES.items():
             output: Path | None = getattr(self, name)
@@ -262,7 +243,7 @@ class Outputs:
             if output in seen:
                 raise InputError(f"{output}: named twice, {seen[output]} and {purpose}")
             seen[output] = purpose
-            require_output(output, [*files, *_files_of_terms(options)], kind)
+            require_output(output, read, kind)
         if self.sensitivity is not None:
             from bayeq.equation.sensitivity import require_spike_slab
 
@@ -278,7 +259,7 @@ class Outputs:
             return
         from bayeq.forecast.rows import require_time
 
-        for wanted, option in ((self.refine, "--refine"), (self.forecast is not None, "--forecast")):
+        for wanted, option in ((self.refine, "--refine"), (self.forecast, "--forecast")):
             for record in records if wanted else ():
                 require_time(record, option)
 
@@ -294,8 +275,7 @@ class Outputs:
     ) -> None:
         """Print the equations, then write the files; `files`, those that were read, come with their state before.
 
-        Each is done whatever becomes of the others: what was found is printed although a file cannot be written, which
-        is an InputError at the end.
+        Each is done whatever becomes of the others; InputError at the end for those that cannot be written.
         """
         from bayeq.states.prepare import numbered
 
@@ -388,7 +368,6 @@ def show_equations(
 
 
 def _write_curves(found: Equations, what: Literal["sensitivity", "path"], path: Path) -> None:
-    """The sensitivity or the path of each equation."""
     from bayeq.equation.sensitivity import draw_pip_curves
     from bayeq.equation.size_path import draw_paths
     from bayeq.figures.style import write_by_target
@@ -415,11 +394,7 @@ OUTPUTS = tuple(field.name for field in fields(Outputs))
 
 
 def require_output(path: Path | None, files: Sequence[Path], kind: Kind) -> None:
-    """Refuse, before the work, a file that could not be written after it, if one was named.
-
-    It cannot be there, is one of the `files` that are read, or ends otherwise than its kind; or what makes it is not
-    installed.
-    """
+    """Refuse, before the work, a file that could not be written after it: its place, its kind, or what makes it."""
     if path is None:
         return
     _require_place(path, files)
@@ -451,20 +426,9 @@ def _require_place(path: Path, files: Sequence[Path]) -> None:
         target = path.resolve()
         if not os.access(target.parent, os.W_OK):
             raise InputError(f"{path}: cannot be written: {target.parent} is read-only; name a file elsewhere")
-    if path.exists() and any(file.exists() and path.samefile(file) for file in _with_contents(files)):
+    read = (one for file in files for one in (file.iterdir() if file.is_dir() else (file,)))
+    if path.exists() and any(file.exists() and path.samefile(file) for file in read):
         raise InputError(f"{path}: is a file that is read; name another file to write to")
-
-
-def _with_contents(paths: Sequence[Path]) -> Iterator[Path]:
-    """Files, and those in folders."""
-    for path in paths:
-        yield from path.iterdir() if path.is_dir() else (path,)
-
-
-def _files_of_terms(options: Mapping[str, Any]) -> list[Path]:
-    """Files among what dictionaries name."""
-    parts = (part.strip() for text in options["dictionaries"] for part in (text, text.partition(":")[2]))
-    return [Path(part) for part in parts if part and os.path.isfile(part)]
 
 
 def _physical(answer: Equations) -> dict[str, PhysicalParameters]:

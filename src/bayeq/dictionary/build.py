@@ -108,7 +108,8 @@ def build_dictionaries(
     require_kind(specification, Iterable, "dictionary", "text, a list of terms, or a mapping of these")
     given = of_equations(specification, targets)
     _require_families(specification, variables)
-    if given is None and not _by_equation(specification):
+    words = re.findall(r"\w+", written(specification))
+    if given is None and not any(FAMILIES[word].by_equation for word in words if word in FAMILIES):
         assert not isinstance(specification, Mapping)
         terms = build_dictionary(specification, variables)
         return terms, _apart(terms, targets, np.ones((len(targets), len(terms)), dtype=np.bool_))
@@ -167,11 +168,6 @@ def _require_families(specification: Specification, variables: Variables) -> Non
     known = {*FAMILIES, *variables.known, *FUNCTIONS, *CONSTANTS}
     if not known.issuperset(re.findall(r"[^\W\d]\w*", written(specification))):
         FAMILIES.load()
-
-
-def _by_equation(specification: Specification) -> bool:
-    words = re.findall(r"\w+", written(specification))
-    return any(FAMILIES[word].by_equation for word in words if word in FAMILIES)
 
 
 def _union(union: Sequence[Member], where: str, variables: Variables) -> tuple[Expression, ...]:

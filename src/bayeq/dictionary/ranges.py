@@ -161,10 +161,10 @@ def located(terms: Sequence[Expression], columns: Columns) -> dict[str, Unknown]
     a range that is not written and that the record does not give, or in which a term is singular.
     """
     out = constants_of(terms)
-    places = {name: next(path for term in terms for path in _paths(term.tree, name)) for name in out}
+    places = {name: [path for term in terms for path in _paths(term.tree, name)] for name in out}
     missing = [name for name, one in out.items() if math.isnan(one.low)]
     while missing:
-        ends = {name: _range(places[name], out, columns) for name in missing}
+        ends = {name: _two_sided(places[name], out, columns) for name in missing}
         found = {name: one for name, one in ends.items() if one is not None and -math.inf < one[0] < one[1] < math.inf}
         left = [name for name in missing if name not in found]
         if left == missing:
@@ -302,6 +302,26 @@ def _is_positive(path: tuple[Node, ...]) -> bool:
                 return function in _POSITIVE
         child = parent
     return False
+
+
+def _two_sided(
+    paths: Sequence[tuple[Node, ...]], constants: Mapping[str, Unknown], columns: Columns
+) -> tuple[float, float] | None:
+    """The range of a constant by its first place; from 0 where x passes both the constant and minus that.
+
+    A negative one is then the same law in another form: max(x + g, 0) + min(x - g, 0) is 2x less what it is of -g.
+    """
+    ends = _range(paths[0], constants, columns)
+    if ends is None or not ends[0] < 0.0 < ends[1]:
+        return ends
+    passed = []
+    for place in map(_place, paths):
+        if place.operation in ("+", "-") and place.other is not None and place.power is None:
+            values = _values(place.other, constants, columns)
+            if values is not None:
+                passed.append(np.concatenate(values) * (1.0 if place.operation == "-" else -1.0))
+    both = any(np.array_equal(one, -other) for one, other in itertools.combinations(passed, 2))
+    return (0.0, ends[1]) if both else ends
 
 
 def _range(path: tuple[Node, ...], constants: Mapping[str, Unknown], columns: Columns) -> tuple[float, float] | None:

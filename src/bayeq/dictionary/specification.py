@@ -114,7 +114,9 @@ def of_equations(specification: Specification, targets: Sequence[str]) -> dict[s
     """
     if isinstance(specification, Mapping):
         found = [(str(target), one) for target, one in specification.items()]
-    elif isinstance(specification, str) and _addressed(specification, targets):
+    elif isinstance(specification, str) and (
+        specification.partition(":")[0].strip() in targets or (";" in specification and ":" in specification)
+    ):
         found = []
         for piece in specification.split(";"):
             target, colon, rest = piece.partition(":")
@@ -137,10 +139,6 @@ def of_equations(specification: Specification, targets: Sequence[str]) -> dict[s
     if missing:
         raise InputError(f"dictionary: none is given for equation {', '.join(missing)}; give one for each equation")
     return out
-
-
-def _addressed(text: str, targets: Sequence[str]) -> bool:
-    return text.partition(":")[0].strip() in targets or (";" in text and ":" in text)
 
 
 def written(specification: Specification) -> str:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from numbers import Integral
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, get_args
 
 import numpy as np
@@ -37,7 +39,7 @@ from bayeq.inference.prior import Prior
 from bayeq.records import Record, as_records, with_row_numbers
 from bayeq.records.stream import RecordStream, Stream, open_streams, streamed_unasked
 from bayeq.regression.constraints import parse_conserved, parse_constraints, parse_ties
-from bayeq.regression.joint import JOINT
+from bayeq.regression.fit import JOINT
 from bayeq.resumable import Progress, silent
 from bayeq.states import Roles, Smooth, Tails, check_sensors, with_laws
 from bayeq.states.derive import current
@@ -48,6 +50,9 @@ MOST_ROWS = 200_000
 
 # Arguments of `discover` that say where the rows are and how they are read; the others are what is asked of them.
 SOURCES = ("records", "t", "stream", "client", "checkpoint")
+
+# ... and those that say which channel plays which part, as `Roles.parse` takes them.
+ROLES = ("chains", "displacement", "velocity", "acceleration", "force", "inputs", "target", "discrete")
 
 
 # The parameters are those of the public contract; all but the records have defaults.
@@ -240,9 +245,8 @@ def discover(
 
 def _require_channels(records: Any, asked: Mapping[str, Any]) -> None:
     """Refuse a channel that is not in the records, before what follows from its name."""
-    names = ("chains", "displacement", "velocity", "acceleration", "force", "inputs", "target", "discrete")
     try:
-        channels = Roles.parse(*(asked[name] for name in names)).channels
+        channels = Roles.parse(*(asked[name] for name in ROLES)).channels
     except InputError:  # said already
         return
     for record in records if isinstance(records, list | tuple) else [records]:
@@ -270,61 +274,37 @@ def _advice(error: InputError, records: Any, asked: Mapping[str, Any]) -> str:
     return f"if it is hidden, state its rate, --law 'd{name} = ...'"
 
 
-def question_of(
-    *,
-    chains: str | Sequence[str] | None,
-    displacement: str | None,
-    velocity: str | None,
-    acceleration: str | None,
-    force: str | None,
-    inputs: Sequence[str],
-    target: str | Sequence[str] | None,
-    dictionary: Specification | Any,
-    method: str,
-    smooth: Smooth,
-    holdout: float,
-    max_terms: int | None,
-    tolerance: float | None,
-    coarsen: float,
-    prior: Prior | None,
-    constraints: str | Sequence[str],
-    conserve: str,
-    differs: str | Sequence[str],
-    law: str | Sequence[str],
-    discrete: bool,
-    noise: Mapping[str, float | str] | None,
-    gain_sd: Mapping[str, float | str] | None,
-    lag_sd: Mapping[str, float | str] | None,
-    tails: Tails,
-    band: tuple[float, float] | None,
-    seed: int,
-    progress: Progress | None,
-) -> Question:
-    """The arguments of `discover`, checked before any record is read."""
-    _check_kinds(method, smooth, prior, seed, progress, constraints, differs, conserve)
-    rules = Rules(max_terms, tolerance)
-    rules.check(method)
-    _check_shares(holdout, coarsen)
-    roles = Roles.parse(chains, displacement, velocity, acceleration, force, inputs, target, discrete)
-    roles = with_laws(law, roles)
-    noise, gain_sd, lag_sd = ({} if one is None else one for one in (noise, gain_sd, lag_sd))
+def question_of(**asked: Any) -> Question:
+    """The arguments of `discover`, but those of `SOURCES`, checked before any record is read."""
+    given = SimpleNamespace(**asked)
+    _check_kinds(given)
+    rules = Rules(given.max_terms, given.tolerance)
+    rules.check(given.method)
+    roles = with_laws(given.law, Roles.parse(*(asked[name] for name in ROLES)))
+    noise, gain_sd, lag_sd = ({} if one is None else one for one in (given.noise, given.gain_sd, given.lag_sd))
     check_sensors(noise, gain_sd, roles, lag_sd)
-    smooth = current(smooth)
-    _check_tails(tails, smooth)
-    _check_band(band, smooth)
+    smooth = current(given.smooth)
+    _check_tails(given.tails, smooth)
+    _check_band(given.band, smooth)
     if roles.discrete:
-        _check_map(smooth, band, lag_sd, differs, roles.hidden)
-    variables = _variables(roles)
+        _check_map(smooth, given.band, lag_sd, given.differs, roles.hidden)
+    variables, dictionary = _variables(roles), given.dictionary
     if is_library(dictionary):
         dictionary = terms_of(dictionary, variables.names)
     terms, allowed, roles = with_law_terms(*dictionaries_of(dictionary, roles, variables), roles)
-    known = (constraints,) if isinstance(constraints, str) else tuple(constraints)
+    if gain_sd and roles.hidden:
+        raise InputError(
+            "gain_sd: what a sensor's factor does to a hidden state is not known; leave it out, and scale the channel"
+            " by what is known"
+        )
+    known = (given.constraints,) if isinstance(given.constraints, str) else tuple(given.constraints)
     parse_ties(known, terms, roles.targets, allowed=allowed)
     # what is wrong is said before the work
     check_scales(roles, terms, allowed, parse_constraints(known, terms, roles.targets, allowed=allowed))
-    if conserve:
-        beside = known or differs or roles.hidden or discrete or prior or max_terms or coarsen < 1.0
-        _check_conserve(bool(beside), method in JOINT and smooth == "auto", terms)
+    if given.conserve:
+        beside = known or given.differs or roles.hidden or given.discrete or given.prior or given.max_terms
+        joint = given.method in JOINT and smooth == "auto"
+        _check_conserve(bool(beside) or given.coarsen < 1.0, joint, terms)
     roles = roles.for_terms(terms)
     earlier = {name: found["name"] for name in roles.inputs if (found := EARLIER.fullmatch(name))}
     noise = {**noise, **{name: noise[base] for name, base in earlier.items() if base in noise}}
@@ -333,23 +313,23 @@ def question_of(
         terms=tuple(terms),
         allowed=allowed,
         dictionary=dictionary,
-        method=method,
+        method=given.method,
         smooth=smooth,
-        holdout=holdout,
+        holdout=given.holdout,
         rules=rules,
-        coarsen=coarsen,
-        prior=prior,
+        coarsen=given.coarsen,
+        prior=given.prior,
         known=known,
-        conserved=parse_conserved(conserve, roles.chains) if conserve else {},
-        conserve=conserve,
-        differs=differs,
+        conserved=parse_conserved(given.conserve, roles.chains) if given.conserve else {},
+        conserve=given.conserve,
+        differs=given.differs,
         noise=noise,
         gain_sd=gain_sd,
         lag_sd=lag_sd,
-        tails=tails,
-        band=band,
-        seed=seed,
-        step=silent if progress is None else progress,
+        tails=given.tails,
+        band=given.band,
+        seed=given.seed,
+        step=silent if given.progress is None else given.progress,
     )
 
 
@@ -362,24 +342,29 @@ def _variables(roles: Roles) -> Variables:
     return Variables(roles.states, roles.inputs, chained, targets=targets, discrete=roles.discrete)
 
 
-def _check_kinds(
-    method: Any, smooth: Any, prior: Any, seed: Any, progress: Any, constraints: Any, differs: Any, conserve: Any
-) -> None:
-    require_text(method, "method")
-    require_text(smooth, "smooth")
-    require_texts(constraints, "constraints")
-    require_texts(differs, "differs")
-    require_text(conserve, "conserve")
-    if prior is not None:
-        require_kind(prior, Prior, "prior", "a Prior")
-    if progress is not None:
-        require_kind(progress, Callable, "progress", "a function of (stage, done, total)")  # type: ignore[arg-type]
+def _check_kinds(given: SimpleNamespace) -> None:
+    """Refuse arguments of another kind, or out of range."""
+    for name in ("method", "smooth", "conserve"):
+        require_text(getattr(given, name), name)
+    for name in ("constraints", "differs"):
+        require_texts(getattr(given, name), name)
+    if given.prior is not None:
+        require_kind(given.prior, Prior, "prior", "a Prior")
+    if given.progress is not None:
+        require_kind(given.progress, Callable, "progress", "a function of (stage, done, total)")  # type: ignore[arg-type]
+    seed = given.seed
     for one in seed if isinstance(seed, Sequence) and not isinstance(seed, str) else [seed]:
         require_kind(one, Integral, "seed", "a whole number")
         if one < 0:
             raise InputError(f"a seed is a whole number, 0 or more, got {one}")
-    if method not in ENGINES and method not in ENGINES.load():
-        raise UnknownNameError("method", method, ENGINES)
+    if given.method not in ENGINES and given.method not in ENGINES.load():
+        raise UnknownNameError("method", given.method, ENGINES)
+    require_number(given.holdout, "holdout")
+    require_number(given.coarsen, "coarsen")
+    if not 0 <= given.holdout < 1:
+        raise InputError(f"holdout is a share of the rows, 0 <= holdout < 1, got {given.holdout!r}")
+    if not 0 < given.coarsen <= 1:
+        raise InputError(f"coarsen is a power of the likelihood, 0 < coarsen <= 1, got {given.coarsen!r}")
 
 
 def _check_map(smooth: Smooth, band: Any, lag_sd: Any, differs: Any, law: Any) -> None:
@@ -405,15 +390,6 @@ def _check_conserve(beside: bool, joint: bool, terms: Sequence[Expression]) -> N
     unknown = next((term.text for term in terms if term.unknowns or term.choice), None)
     if unknown is not None:
         raise InputError(f"conserve: term {unknown}: takes no constants inside terms, and no either-or: write numbers")
-
-
-def _check_shares(holdout: float, coarsen: float) -> None:
-    require_number(holdout, "holdout")
-    require_number(coarsen, "coarsen")
-    if not 0 <= holdout < 1:
-        raise InputError(f"holdout is a share of the rows, 0 <= holdout < 1, got {holdout!r}")
-    if not 0 < coarsen <= 1:
-        raise InputError(f"coarsen is a power of the likelihood, 0 < coarsen <= 1, got {coarsen!r}")
 
 
 def _check_tails(tails: str, smooth: str) -> None:
@@ -462,30 +438,25 @@ def _answer(
         extents, checkpoint = _whole_streams(map(RecordStream, measured)), None
     extents = of_channels(extents, channels)
     try:
-        return _of_all_rows(question, extents, _whole(question, extents, executor, checkpoint))
+        return _of_all_rows(question, _whole(question, extents, executor, checkpoint))
     except NotStreamed as why:
         if required:
             raise
-        return _of_stretches(question, extents, why)
+        some = stretches(extents)
+        used, given = sum(record.n for record in some), sum(one.n for one in extents)
+        return question.answer(some, because=f"{used:,} of {given:,} rows are used, {len(some)} stretches: {why}")
 
 
-def _of_all_rows(question: Question, rows: tuple[Extent, ...], whole: Whole) -> tuple[Equations, WarningLog]:
+def _of_all_rows(question: Question, whole: Whole) -> tuple[Equations, WarningLog]:
     """The answer from sums over all rows, which are kept until there is one."""
     try:
-        found = question.answer(stretches(rows), whole)
+        found = replace(question, whole=whole).answer(stretches(whole.extents))
     except KeyboardInterrupt as stop:
         if (folder := whole.checkpoints.kept) is not None:
             stop.add_note(f"sums over the rows are kept in {folder}; the same command continues")
         raise
     whole.checkpoints.clear()
     return found
-
-
-def _of_stretches(question: Question, rows: tuple[Extent, ...], why: NotStreamed) -> tuple[Equations, WarningLog]:
-    """The answer to a question that takes rows all together, from stretches of a long record."""
-    some = stretches(rows)
-    used, given = sum(record.n for record in some), sum(one.n for one in rows)
-    return question.answer(some, because=f"{used:,} of {given:,} rows are used, {len(some)} stretches: {why}")
 
 
 def extents_of(records: Any, t: Any, stream: bool | None, clustered: bool = False) -> tuple[Extent, ...] | None:
@@ -528,12 +499,9 @@ def _whole(question: Question, extents: tuple[Extent, ...], executor: Executor, 
             "records that are read some rows at a time are fitted with tails='gauss', equal noise of all samples and"
             " in no band; use some rows (--rows), or leave these options out"
         )
-    place = cache_folder() if folder is None else Path(folder)
-    if folder is None:
-        place = None if place is None else place / "checkpoints"
-    else:
+    if folder is not None:
         _require_folder(Path(folder))
-    kept = Checkpoints.of(extents, place, asked=folder is not None)
+    kept = Checkpoints.of(extents, cache_folder() if folder is None else Path(folder), asked=folder is not None)
     return Whole(extents, executor, question.step, kept)
 
 

@@ -16,12 +16,12 @@ from bayeq.dictionary.specification import split_at
 from bayeq.equation.answer import HiddenState
 from bayeq.errors import ChainError, InputError, UnknownNameError
 from bayeq.expressions import Binary, Expression, Symbol, parse
-from bayeq.likelihood.hidden import seen_in, with_values_of
+from bayeq.likelihood.hidden import seen_in
 from bayeq.likelihood.record_fit import RecordFit
 from bayeq.records import Record
 from bayeq.regression.constraints import Constraints
 from bayeq.regression.design import Design, build_design
-from bayeq.states import Motion, Roles
+from bayeq.states import Roles
 from bayeq.states.prepare import numbered
 
 
@@ -97,12 +97,6 @@ def without_hidden(terms: Sequence[Expression], allowed: Bools, roles: Roles) ->
     hidden, count = {name for chain in roles.hidden for name in chain.names}, len(roles.seen.chains)
     kept = [j for j, term in enumerate(terms) if not hidden & term.names and allowed[:count, j].any()]
     return tuple(terms[j] for j in kept), allowed[:count, kept]
-
-
-def other_designs(design: Design, starts: Sequence[Motion]) -> list[Design]:
-    """The design at other starts of hidden states."""
-    found = [build_design(with_values_of(design.terms, one), one, allowed=design.allowed) for one in starts]
-    return [one for one in found if one.names == design.names]
 
 
 def hidden_states(

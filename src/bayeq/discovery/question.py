@@ -21,7 +21,7 @@ from bayeq.discovery.cautions import (
     warn_of_terms,
     warn_of_zero,
 )
-from bayeq.discovery.laws import hidden_states, other_designs, with_differences, without_hidden
+from bayeq.discovery.laws import hidden_states, with_differences, without_hidden
 from bayeq.discovery.streaming.whole import Whole
 from bayeq.equation.answer import DataSummary, EquationTuple, HiddenState
 from bayeq.equation.build import build_equations, with_doubts
@@ -34,33 +34,22 @@ from bayeq.expressions import Expression
 from bayeq.expressions.functions import CONSTANTS, TIME
 from bayeq.forecast.score import Scores
 from bayeq.inference.prior import SIGNED, Prior
+from bayeq.likelihood.channels import first_lags
 from bayeq.likelihood.hidden import with_first_laws, with_first_paths, with_found_laws, with_values_of
-from bayeq.likelihood.lags import first_lags
 from bayeq.likelihood.layout import Stated
 from bayeq.likelihood.record_fit import RecordFit, refit_record
 from bayeq.likelihood.unknowns import first_values
 from bayeq.numerics.settings import LIKELIHOOD, SELECTION
 from bayeq.records import UNKNOWN_TIME, Record, check_messages, counts_rows, without_copies
 from bayeq.records.record import in_one_unit
-from bayeq.regression.by_likelihood import regressions_of
 from bayeq.regression.constraints import CONSERVED, Constraints, parse_constraints, parse_ties
 from bayeq.regression.design import Design, build_design, screened
-from bayeq.regression.joint import fit_equations, record_of, sensors_of_design
+from bayeq.regression.fit import fit_equations, record_of, sensors_of_design
+from bayeq.regression.regression import regressions_of
 from bayeq.resumable import Progress
-from bayeq.states import (
-    Motion,
-    Roles,
-    Smooth,
-    Tails,
-    corrected,
-    estimate_motion,
-    known_sensors,
-    measured_apart,
-    require_in_range,
-    require_steps,
-    require_varying,
-)
+from bayeq.states import Motion, Roles, Smooth, Tails, corrected, estimate_motion, known_sensors, measured_apart
 from bayeq.states.bad_samples import Learned
+from bayeq.states.derive import require_in_range, require_steps, require_varying
 from bayeq.states.motion import cut_at, held_out_share
 from bayeq.states.prepare import bridged_record, cleaned, divided_at_gaps, in_samples, require_enough, without_hum
 
@@ -118,19 +107,18 @@ class Question:
     band: tuple[float, float] | None
     seed: int
     step: Progress
+    whole: Whole | None = None  # all rows, where records are stretches of longer ones
 
-    def answer(
-        self, records: Sequence[Record], whole: Whole | None = None, because: str | None = None
-    ) -> tuple[Equations, WarningLog]:
+    def answer(self, records: Sequence[Record], because: str | None = None) -> tuple[Equations, WarningLog]:
         """The equations, and the warnings that go with them, `because` of the choice of the records among these.
 
-        `whole` are all rows, where the records are stretches of longer ones. An InputError refuses channels, terms or
-        samples that cannot be used; NotStreamed says that stretches do not do for what is asked.
+        An InputError refuses channels, terms or samples that cannot be used; NotStreamed says that stretches do not do
+        for what is asked.
         """
         if self.differs:
-            question, numbered = self._by_record(records, whole)
-            return question.answer(numbered, None, because)
-        log, step = WarningLog(), self.step
+            question, numbered = self._by_record(records)
+            return question.answer(numbered, because)
+        log, step, whole = WarningLog(), self.step, self.whole
         measured = [in_samples(record, self.roles) if self.roles.discrete else record for record in records]
         if whole is None:
             measured, copies = without_copies(measured, self.roles.channels)
@@ -142,26 +130,30 @@ class Question:
             log.warn(UNKNOWN_TIME, DataWarning)
         _require_unambiguous(self.terms, measured, self.roles)
         step("states", 0, 1)
-        motion, pieces = self._motion(measured, log, whole)
+        motion, pieces = self._motion(measured, log)
         if self.conserved and (changing := change_of(self.conserve, self.conserved, motion)):
-            return replace(self, conserve="", conserved={}).answer(records, whole, changing)
+            return replace(self, conserve="", conserved={}).answer(records, changing)
         before = len(log.collected)
         units = _units(pieces, motion.roles, log)
         terms, known = _in_radians(self.terms, self.known, units, log)
-        motion, *others = self._with_hidden(motion, terms, whole)
-        terms = self._with_values(with_values_of(terms, motion), motion, whole)
+        motion, *others = self._with_hidden(motion, terms)
+        terms = self._with_values(with_values_of(terms, motion), motion)
         terms, allowed = self._kept(terms, known, motion, log)
-        design = self._design(motion, terms, allowed, whole)
+        design = self._design(motion, terms, allowed)
         warn_of_terms(design, log)
         warn_of_zero(design, pieces, log)
 
         step("likelihood", 0, 1)
-        record, known, constrained = self._record(design, known, log, others, whole is None)
+        record, known, constrained = self._record(design, known, log, others)
         if record is None and motion.smoothed:
             log.warn(NO_LIKELIHOOD, DataWarning)
         if record is None and self.tails == "student":
             log.warn(NO_TAILS, DataWarning)
-        _require_likelihood(motion, record, whole)
+        if record is None and motion.smoothing and whole is not None:  # which sums over all rows need
+            raise NotStreamed(
+                "the likelihood of the record could not be evaluated near its motion, and records that are read some"
+                " rows at a time are fitted by it alone: give fewer terms, or use some rows (--rows)"
+            )
         hidden = hidden_states(design, record, partial(self._likelihood, dictionary=self._seen_dictionary))
         if any(one.log_odds_without > -CLEARLY for one in hidden):
             return self._without_hidden(hidden, records)
@@ -169,7 +161,7 @@ class Question:
         first = WarningLog()
         judged = self._judged(design, record)
         equations, scores, selections = self._found(judged, record, constrained, units, first)
-        found = self._of_all_rows(design, record, whole, log)
+        found = self._of_all_rows(design, record, log)
         if found is not None:
             scored, first = equations, WarningLog()
             equations, _, selections = self._found(*found, constrained, units, first, scored)
@@ -200,11 +192,11 @@ class Question:
         )
         return answer, log
 
-    def _with_hidden(self, motion: Motion, terms: Sequence[Expression], whole: Whole | None) -> list[Motion]:
+    def _with_hidden(self, motion: Motion, terms: Sequence[Expression]) -> list[Motion]:
         """The motion with hidden states, if any, where searches start."""
         if not self.roles.hidden:
             return [motion]
-        if whole is not None or self.smooth != "auto" or not motion.smoothing:
+        if self.whole is not None or self.smooth != "auto" or not motion.smoothing:
             raise InputError(
                 "law: hidden states are found by the likelihood of the record in memory: use smooth='auto', time, more"
                 " rows, and choose rows (--rows) of a long file"
@@ -236,62 +228,73 @@ class Question:
 
     @property
     def _likelihood(self) -> Callable[..., RecordFit | None]:
-        """The likelihood of the records of a design, as `bayeq.regression.joint.record_of`."""
+        """The likelihood of the records of a design, as `bayeq.regression.fit.record_of`."""
         tolerance = self.rules.tolerance
         return partial(record_of, smooth=self.smooth, dictionary=self.dictionary, prior=self.prior, tolerance=tolerance)
 
     def _record(
-        self, design: Design, known: Sequence[str], log: WarningLog, others: Sequence[Motion], in_memory: bool
+        self, design: Design, known: Sequence[str], log: WarningLog, others: Sequence[Motion]
     ) -> tuple[RecordFit | None, tuple[str, ...], tuple[Constraints, ...]]:
         """The likelihood of the records, and what is known that holds, as text and of each equation.
 
         It is compared with that without ties, in an equation too, which is taken where the record contradicts them. An
         InputError says that only the likelihood of records in memory takes what is known.
         """
-        constrained = _constrained(known, design, self.method)
         dropped = {term.name: term.reason for term in design.dropped}
-        ties = parse_ties(known, design.terms, design.motion.roles.targets, dropped, design.allowed)
-        asked = partial(self._likelihood, design, others=other_designs(design, others))
-        refused = [] if self.conserved else [text for text in known if "==" in text]
-        left = tuple(text for text in known if text not in refused)
-        without = _constrained(left, design, self.method) if refused else constrained
         if not self.conserved:
             warn_of_sums(design, log)
-        free = asked(constraints=without, conserved=self.conserved or None)
-        needed = bool(self.conserved or ties) or any(one.stated for one in constrained)
-        if needed and (free is None or not in_memory):
-            raise InputError(
-                "constraints: ~, ties between equations and conserved sums are taken by the likelihood of the record in"
-                " memory: use smooth='auto', and choose rows (--rows) of a long file"
-            )
-        if not refused or free is None:
-            return free, tuple(known), constrained
-        record = asked(constraints=constrained, ties=[Stated(parts, value, 0.0) for _, parts, value in ties])
-        lost = math.inf if record is None else free.of_motion - record.of_motion
-        if lost < CONTRADICTED:
-            return record, tuple(known), constrained
-        log.warn(
-            f"the record contradicts {some_of(refused, 40, '; ')} (odds {odds_text(-lost)}): shown without;"
-            " check factors",
-            DataWarning,
-        )
-        return free, left, without
+        starts = [build_design(with_values_of(design.terms, one), one, allowed=design.allowed) for one in others]
+        beside = [one for one in starts if one.names == design.names]
+        fitted = partial(self._likelihood, design, conserved=self.conserved or None, others=beside)
+        equal = [text for text in known if "==" in text]
 
-    def _by_record(self, records: Sequence[Record], whole: Whole | None) -> tuple[Question, list[Record]]:
+        def given(applied: Sequence[str]) -> tuple[RecordFit | None, tuple[str, ...], tuple[Constraints, ...]]:
+            some = tuple(text for text in known if text in applied or text not in equal)
+            constrained = _constrained(some, design, self.method)
+            ties = parse_ties(some, design.terms, design.motion.roles.targets, dropped, design.allowed)
+            found = fitted(constraints=constrained, ties=[Stated(parts, value, 0.0) for _, parts, value in ties])
+            needed = self.conserved or ties or any(one.stated for one in constrained)
+            if needed and (found is None or self.whole is not None):
+                raise InputError(
+                    "constraints: ~, ties between equations and conserved sums are taken by the likelihood of the"
+                    " record in memory: use smooth='auto', and choose rows (--rows) of a long file"
+                )
+            return found, some, constrained
+
+        held = given(equal)
+        if not equal or held[0] is None:
+            return held
+        free = given(())
+
+        def lost(found: RecordFit | None) -> float:
+            return math.inf if found is None or free[0] is None else free[0].of_motion - found.of_motion
+
+        odds = lost(held[0])
+        if free[0] is None or odds < CONTRADICTED:
+            return held
+        kept = [text for text in equal if len(equal) > 1 and lost(given([text])[0]) < CONTRADICTED]
+        held = given(kept)
+        if lost(held[0]) >= CONTRADICTED:
+            kept, held = [], free
+        wrong = some_of([text for text in equal if text not in kept], 40, "; ")
+        log.warn(f"the record contradicts {wrong} (odds {odds_text(-odds)}): shown without; check factors", DataWarning)
+        return held
+
+    def _by_record(self, records: Sequence[Record]) -> tuple[Question, list[Record]]:
         """The question with a candidate difference of each coefficient that may differ, and numbered records."""
-        if whole is not None:
+        if self.whole is not None:
             raise InputError("differs: the records have to be in memory: choose some rows, --rows")
         numbered, names, terms, allowed = with_differences(self.differs, records, self.terms, self.allowed)
         roles = replace(self.roles, inputs=(*self.roles.inputs, *names))
         return replace(self, roles=roles, terms=terms, allowed=allowed, differs=()), numbered
 
-    def _motion(self, records: list[Record], log: WarningLog, whole: Whole | None) -> tuple[Motion, list[Record]]:
+    def _motion(self, records: list[Record], log: WarningLog) -> tuple[Motion, list[Record]]:
         """States, and the records that they are of."""
         try:
-            learned = None if whole is None else whole.learned
+            learned = None if self.whole is None else self.whole.learned
             pieces, roles, share = _prepared(records, self.roles.seen, self.smooth, self.holdout, log, learned)
         except RecordError as error:
-            if whole is None:
+            if self.whole is None:
                 raise
             raise RecordError(f"{error} (found in stretches of a long record: choose its rows, --rows)") from None
         sensors = known_sensors(self.noise, self.gain_sd, roles, pieces, self.tails, self.lag_sd)
@@ -302,20 +305,20 @@ class Question:
         warn_of_rates(records, roles, log)
         warn_of_sensors(motion, {*self.noise, *self.gain_sd, *self.lag_sd}, log)
         warn_of_blows(pieces, roles.inputs, sensors.noise, log)
-        motion = self._calibrated(motion, pieces, whole)
+        motion = self._calibrated(motion, pieces)
         _inspect(motion, pieces, self.holdout, log)
         return motion, pieces
 
-    def _calibrated(self, motion: Motion, pieces: Sequence[Record], whole: Whole | None) -> Motion:
+    def _calibrated(self, motion: Motion, pieces: Sequence[Record]) -> Motion:
         """The motion of channels whose lags and factors are taken out, as the likelihood of the record finds them."""
         sensors = motion.sensors
         by_likelihood = self.smooth == "auto" and motion.smoothing and not any(map(counts_rows, pieces))
-        if by_likelihood and whole is None:
+        if by_likelihood and self.whole is None:
             told = [name for name in motion.roles.compared if sensors.gain_sd.get(name)]
             sensors = replace(sensors, gains={name: sensors.gain(name) for name in told})
         if not self.lag_sd and not sensors.gains:
             return motion
-        if self.lag_sd and whole is not None:
+        if self.lag_sd and self.whole is not None:
             raise NotStreamed("lag_sd: lags are learned from a record in memory: choose some rows, --rows")
         if not by_likelihood:
             raise InputError(
@@ -325,16 +328,21 @@ class Question:
         if sensors.lags.keys() >= {*motion.roles.measured, *motion.roles.inputs}:
             raise InputError("lag_sd: only lags against other channels show: leave out a channel that is the clock")
         terms, known = _in_radians(self.terms, self.known, _units(pieces, motion.roles, WarningLog()), WarningLog())
-        terms, allowed = self._kept(terms, known, motion, WarningLog())
-        lags, moved = first_lags(motion, self._with_values(terms, motion, whole)), math.inf
-        sensors = replace(sensors, lags=lags)
+
+        def design_of(motion: Motion) -> Design:
+            motion, *_ = self._with_hidden(motion, terms)
+            valued = self._with_values(with_values_of(terms, motion), motion)
+            kept, allowed = self._kept(valued, known, motion, WarningLog())
+            return build_design(kept, motion, allowed=allowed)
+
+        first = design_of(motion)
+        sensors, moved = replace(sensors, lags=first_lags(first.motion, first.terms)), math.inf
         for k in range(SENSOR_ROUNDS):
             self.step("sensors", k, SENSOR_ROUNDS)
             motion = estimate_motion(pieces, motion.roles, self.smooth, motion.holdout, sensors, self.band)
             if moved < SENSOR_FOUND:
                 break
-            design = build_design(self._with_values(terms, motion, whole), motion, allowed=allowed)
-            sensors, moved = sensors_of_design(design, self.dictionary, self.prior)
+            sensors, moved = sensors_of_design(design_of(motion), self.dictionary, self.prior)
         return motion
 
     def _kept(
@@ -354,17 +362,17 @@ class Question:
         )
         return tuple(terms[int(j)] for j in kept), self.allowed[:, kept]
 
-    def _design(self, motion: Motion, terms: Sequence[Expression], allowed: Bools, whole: Whole | None) -> Design:
+    def _design(self, motion: Motion, terms: Sequence[Expression], allowed: Bools) -> Design:
         """The dictionary on the rows: of all of them, where motion is not smoothed."""
-        if whole is None or motion.smoothing:
+        if self.whole is None or motion.smoothing:
             return build_design(terms, motion, lambda done, total: self.step("dictionary", done, total), allowed)
-        return whole.design(motion, terms, allowed, motion.holdout)
+        return self.whole.design(motion, terms, allowed, motion.holdout)
 
     def _of_all_rows(
-        self, design: Design, record: RecordFit | None, whole: Whole | None, log: WarningLog
+        self, design: Design, record: RecordFit | None, log: WarningLog
     ) -> tuple[Design, RecordFit] | None:
         """The likelihood of all rows, those held out among them; None where the answer is of those for training."""
-        motion = design.motion
+        motion, whole = design.motion, self.whole
         if record is None or not (motion.held_out or whole is not None):
             return None
         of_all = build_design(design.terms, motion.whole, allowed=design.allowed)
@@ -379,9 +387,7 @@ class Question:
         found = refit_record(motion.whole, record, of_all.terms, of_all.train)
         return None if found is None else (self._judged(self._at_values(of_all, found), found), found)
 
-    def _with_values(
-        self, terms: tuple[Expression, ...], motion: Motion, whole: Whole | None
-    ) -> tuple[Expression, ...]:
+    def _with_values(self, terms: tuple[Expression, ...], motion: Motion) -> tuple[Expression, ...]:
         """The terms with first values of the constants inside them."""
         unknown = next((term for term in terms if term.unknowns or term.choice), None)
         if unknown is None:
@@ -393,7 +399,7 @@ class Question:
                 f"term {unknown.text}: constants inside terms, and either-or, are found by the likelihood of the"
                 f" record: {how}, or write a number"
             )
-        if whole is not None:
+        if self.whole is not None:
             raise NotStreamed(
                 f"term {unknown.text}: constants inside terms need the record in memory: choose some rows, --rows"
             )
@@ -441,15 +447,6 @@ class Question:
         selections = select(fits, self.rules, design.motion, whole=bool(self.conserved))
         equations, scores = build_equations(selections, units, log, scored)
         return equations, scores, selections
-
-
-def _require_likelihood(motion: Motion, record: RecordFit | None, whole: Whole | None) -> None:
-    """Refuse stretches without a likelihood, which all rows are summed by."""
-    if whole is not None and motion.smoothing and record is None:
-        raise NotStreamed(
-            "the likelihood of the record could not be evaluated near its motion, and records that are read some rows"
-            " at a time are fitted by it alone: give fewer terms, or use some rows (--rows)"
-        )
 
 
 def _prepared(

@@ -5,24 +5,23 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from bayeq.arrays import Floats
 from bayeq.equation.answer import Answer, EquationTuple
+from bayeq.equation.refine.output_error import Unrefined
+from bayeq.equation.refine.refine import refine
 from bayeq.errors import ConvergenceWarning, DataWarning, InputError
 from bayeq.forecast.free_run import Forecast, forecast
 from bayeq.forecast.rows import Courses
 from bayeq.forecast.score import Scores, score_records
-from bayeq.numerics.rk4 import check_interpolation
+from bayeq.numerics.rk4 import Interpolation, check_interpolation
 from bayeq.records import Record
 from bayeq.records.record import in_units
 from bayeq.states import Roles, Sensors, Smooth, estimate_motion
 from bayeq.states.prepare import cleaned, divided_at_gaps, has_all
-
-if TYPE_CHECKING:
-    from bayeq.numerics.rk4 import Interpolation
 
 Found = TypeVar("Found", bound=Answer)
 
@@ -49,10 +48,7 @@ def prepared(eq: Answer, records: Sequence[Record], divide: bool = False, level:
 
 
 def in_units_of(eq: Answer, record: Record) -> tuple[Record, list[str]]:
-    """A record in the units of equations, where both are known, and what was converted.
-
-    InputError for a unit that cannot be converted.
-    """
+    """A record in the units of equations, where both are known, and what was converted; InputError if it cannot be."""
     wanted = {name: unit for name, unit in eq.units.items() if name in eq.roles.channels}
     record, notes, others = in_units(record, wanted)
     for name in others:
@@ -137,9 +133,6 @@ def refinement(eq: Found, records: Sequence[Record], holdout: float, interpolati
     """See `Equations.refine`."""
     if eq.roles.hidden:
         raise InputError("refine needs every state measured: leave it out, the coefficients are those of all rows")
-    from bayeq.equation.refine.output_error import Unrefined
-    from bayeq.equation.refine.refine import refine
-
     check_interpolation(interpolation)
     if eq.roles.discrete:
         raise InputError("a map is not refined: its coefficients are those of the likelihood of the record already")
@@ -164,14 +157,16 @@ def refinement(eq: Found, records: Sequence[Record], holdout: float, interpolati
         message = f"not refined: {found.reason}; the equations are returned as they were: {found.advice}"
         warnings.warn(message, ConvergenceWarning, stacklevel=3)
         return eq
-    found.log.emit(stacklevel=4)
+    refined, summary, of_held_out, doubts = found
+    for message, category in doubts:
+        warnings.warn(message, category, stacklevel=3)
     return replace(
         eq,
         equations=EquationTuple(
             old.with_posterior(posterior, **changes)
-            for old, (posterior, changes) in zip(eq.equations, found.equations, strict=True)
+            for old, (posterior, changes) in zip(eq.equations, refined, strict=True)
         ),
-        warnings=(*eq.warnings, *found.log.messages),
-        scores=found.scores,
-        refined=found.summary,
+        warnings=(*eq.warnings, *(message for message, _ in doubts)),
+        scores=of_held_out,
+        refined=summary,
     )

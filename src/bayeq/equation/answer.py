@@ -14,13 +14,14 @@ from numpy.typing import ArrayLike
 from bayeq.arrays import Floats
 from bayeq.dictionary.ranges import ConstantEstimate
 from bayeq.equation.equation import Equation
-from bayeq.equation.export import Uncertainty
+from bayeq.equation.export import Uncertainty, derivatives, to_callable, to_code
 from bayeq.equation.plan.designs import Measured
 from bayeq.equation.refine.refine import Refinement
 from bayeq.equation.verdict import Verdict, worst
 from bayeq.errors import InputError
 from bayeq.expressions import Binary, Evaluator, Expression, Symbol
 from bayeq.expressions.functions import TIME
+from bayeq.forecast.dynamics import Dynamics, Law, solved_laws
 from bayeq.forecast.score import Scores
 from bayeq.inference.posterior import Posterior
 from bayeq.numerics.rk4 import Interpolation
@@ -33,67 +34,32 @@ from bayeq.states import Chain, Motion, Roles, Sensors, Smooth
 if TYPE_CHECKING:
     import pandas as pd
 
-    from bayeq.forecast.dynamics import Dynamics, Law
-
 # The constant as a term, as libraries of polynomials call it.
 CONSTANT = "1"
 
 
 @dataclass(frozen=True, slots=True)
 class DataSummary:
-    """What the equations were found from.
+    """What the equations were found from."""
 
-    Attributes
-    ----------
-    files : tuple of str
-        Names of the records.
-    n, n_train, n_held_out : int
-        Measured rows in all, used, and held out.
-    refitted : bool
-        Whether, scored on the rows held out, the equations were then found once more, from all rows.
-    estimated : tuple of str
-        Derivatives that were not measured but estimated.
-    smoothed : bool
-        Whether by the kinematic smoother.
-    holdout : float
-        Share of the rows of each record that was held out.
-    measured : Measured
-        Rates and ranges, for the plan of a next measurement.
-    sensors : Sensors
-        What was known of the channels.
-    seconds : float or None
-        Length of all records together [s]; None where time is not known.
-    clock : str
-        Unit of time, "s", or "year" of records that are counted in years; `seconds` and `fs` are then in it.
-    rows_as_time : bool
-        Whether the number of the row was taken for time, which was not known: coefficients are per sample.
-    band : (float, float) or None
-        Frequencies [Hz] between which the equations were to be fitted.
-    stretches : int
-        Number of stretches of long records that noise levels, verdict and free runs are of; 0 if of all rows.
-    interpolation : mapping of str to str
-        How inputs go between their samples, "linear", "hold" or "band-limited", as the likelihood found it; others are
-        smooth.
-    noise_sd : mapping of str to float
-        Standard deviation of the noise of the channels, in their units, as the likelihood found it.
-    """
-
-    files: tuple[str, ...]
-    n: int
+    files: tuple[str, ...]  # names of the records
+    n: int  # measured rows in all, used, and held out
     n_train: int
     n_held_out: int
-    estimated: tuple[str, ...] = ()
-    smoothed: bool = False
-    holdout: float = 0.0
-    refitted: bool = False
-    measured: Measured = field(default_factory=Measured)
-    sensors: Sensors = field(default_factory=Sensors)
-    seconds: float | None = None
-    clock: str = "s"
-    rows_as_time: bool = False
-    band: tuple[float, float] | None = None
-    stretches: int = 0
+    estimated: tuple[str, ...] = ()  # derivatives that were not measured but estimated
+    smoothed: bool = False  # by the kinematic smoother
+    holdout: float = 0.0  # share of the rows of each record that was held out
+    refitted: bool = False  # whether, scored on the rows held out, the equations were then found from all rows
+    measured: Measured = field(default_factory=Measured)  # rates and ranges, for the plan of a next measurement
+    sensors: Sensors = field(default_factory=Sensors)  # what was known of the channels
+    seconds: float | None = None  # length of all records together [s]; None where time is not known
+    clock: str = "s"  # unit of time, or "year" of records that are counted in years: of `seconds` and `fs` too
+    rows_as_time: bool = False  # whether rows count as time, which was not known: coefficients are per sample
+    band: tuple[float, float] | None = None  # frequencies [Hz] between which the equations were to be fitted
+    stretches: int = 0  # of long records, that noise levels, verdict and free runs are of; 0 if of all rows
+    # how inputs go between their samples, as the likelihood found it; others are smooth
     interpolation: Mapping[str, Interpolation] = field(default_factory=dict)
+    # standard deviation of the noise of the channels, in their units, as the likelihood found it
     noise_sd: Mapping[str, float] = field(default_factory=dict)
 
     def of_stretches(self, files: Sequence[str], used: int, held_out: int, stretches: int) -> Self:
@@ -167,21 +133,11 @@ class EquationTuple(tuple[Equation, ...]):
 
 @dataclass(frozen=True)
 class HiddenState:
-    """A state that no channel measures.
+    """A state that no channel measures."""
 
-    Attributes
-    ----------
-    state : str
-        Its name.
-    log_odds_without : float
-        ln of the odds of the best equations without hidden states against those with them.
-    stated : bool
-        Whether its law was stated; otherwise it was found, terms of a dictionary.
-    """
-
-    state: str
-    log_odds_without: float
-    stated: bool = True
+    state: str  # its name
+    log_odds_without: float  # ln of the odds of the best equations without hidden states against those with them
+    stated: bool = True  # whether its law was stated; otherwise it was found, terms of a dictionary
 
 
 def with_shown(chain: Chain, terms: Sequence[Expression], shown: Posterior) -> Chain:
@@ -218,12 +174,7 @@ class Answer:
 
     def __getitem__(self, key: int | str) -> Equation:
         """By position, or by the name of the target."""
-        if isinstance(key, str):
-            for equation in self.equations:
-                if equation.target == key:
-                    return equation
-            raise KeyError(key)
-        return self.equations[key]
+        return {one.target: one for one in self.equations}[key] if isinstance(key, str) else self.equations[key]
 
     @property
     def chains(self) -> tuple[Chain, ...]:
@@ -345,8 +296,6 @@ class Answer:
         MissingExtraError
             JAX is not installed.
         """
-        from bayeq.equation.export import to_callable
-
         return to_callable([equation.law for equation in self.equations], self.inputs, self.roles.timed, module)
 
     def to_code(self, language: str) -> str:
@@ -364,8 +313,6 @@ class Answer:
         InputError
             Terms that the language cannot express.
         """
-        from bayeq.equation.export import to_code
-
         return to_code([equation.law for equation in self.equations], self.inputs, self.roles.timed, language)
 
     def to_python(self) -> str:
@@ -390,8 +337,6 @@ class Answer:
             In the unit of each state per second, also where the channels of a chain have units that do not belong
             together (see `Equation.unit_gains`). Where there are static laws alone: their targets.
         """
-        from bayeq.equation.export import derivatives
-
         values = _numbers(state, "the state")
         if values.shape != (len(self.states),):
             raise InputError(f"the state has {len(self.states)} entries {self.states}, got shape {values.shape}")
@@ -408,8 +353,6 @@ class Answer:
     @cached_property
     def _laws(self) -> list[Law]:
         """The laws, each solved for its highest derivative where others stand in it."""
-        from bayeq.forecast.dynamics import solved_laws
-
         return solved_laws([one.law for one in self.equations])
 
     def dynamics(self, intercepts: Sequence[bool] | None = None) -> Dynamics:
@@ -425,9 +368,7 @@ class Answer:
         Dynamics
             What `simulate` integrates.
         """
-        from bayeq.forecast.dynamics import Dynamics
-
-        return Dynamics.of([equation.law for equation in self.equations], self.inputs, intercepts, self.roles.timed)
+        return Dynamics.of([equation.law for equation in self.equations], self.roles, intercepts)
 
 
 def _numbers(value: Any, what: str) -> Floats:

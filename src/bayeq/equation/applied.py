@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from bayeq.equation.verdict import state_noise, window_errors
 from bayeq.equation.written import finite, moment
 from bayeq.errors import DataWarning, InputError, in_digits
 from bayeq.forecast.free_run import Forecast
-from bayeq.forecast.score import percentages
+from bayeq.forecast.score import percent, percentages
 from bayeq.numerics.distributions import Z95
 from bayeq.numerics.settings import EQUATION
 from bayeq.records import Record, counts_rows
@@ -114,7 +115,7 @@ class Prediction:
             for name, error in errors.items():
                 inside = "" if error.inside is None else f"{100 * error.inside:.3g} %"
                 rms = "blew up" if math.isinf(error.rms) else "" if math.isnan(error.rms) else f"{error.rms:.3g}"
-                share = percentages({"": error.nrmse}).strip() if math.isfinite(error.nrmse) else ""
+                share = percent(error.nrmse) if math.isfinite(error.nrmse) else ""
                 rows.append((f"{name}, {what}", share, rms, error.unit or "", inside))
         widths = [max(len(row[k]) for row in rows) for k in range(5)]
         ruler = "|".join("-" * (width + 2) for width in widths)
@@ -123,11 +124,7 @@ class Prediction:
 
 
 def as_equations_have_them(equations: Equations, record: Record) -> tuple[Record, list[str]]:
-    """A record in the units of the equations, and what was converted or taken to be in them.
-
-    InputError for a unit that cannot be converted, or a time that is known where that of the equations is not, or the
-    reverse.
-    """
+    """A record in the units and time of the equations, and what was converted or taken; InputError if it cannot be."""
     where = record.name or "record"
     moving = bool(equations.states) and not equations.roles.discrete
     if moving and counts_rows(record) and not equations.data.rows_as_time:
@@ -156,23 +153,17 @@ def apply_to(equations: Equations, records: Sequence[Record], draws: int = 200, 
     differ. Draws are runs with coefficients from the posterior, for the bands. InputError: channels that are missing,
     units that cannot be converted, no time. DataWarning: samples that are missing or left out.
     """
-    notes: list[str] = []
     records = numbered(records, equations.numbers)
     if equations.roles.discrete:
         records = [in_samples(record, equations.roles) for record in records]
     for name in equations.roles.channels:
         for record in records:
             _ = record[name]
-    fitting = []
-    for record in records:
-        one, converted = as_equations_have_them(equations, record)
-        fitting.append(one)
-        notes += converted
-    pieces = along.prepared(equations, fitting, divide=True)
-    pieces = [piece for piece in pieces if piece.n >= LEAST_ROWS]
+    fitting, converted = zip(*(as_equations_have_them(equations, record) for record in records), strict=True)
+    pieces = [piece for piece in along.prepared(equations, fitting, divide=True) if piece.n >= LEAST_ROWS]
     if not pieces:
         raise InputError(f"{records[0].name or 'record'}: too few rows to predict; give two or more")
-    notes += _out_of_range(equations, pieces)
+    notes = [*chain.from_iterable(converted), *_out_of_range(equations, pieces)]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataWarning)  # what was left out has been said
         scores = along.scores(equations, pieces, start=0)
@@ -234,14 +225,11 @@ def _single_step(equations: Equations, k: int, pieces: Sequence[Record], nrmse: 
     if not all(target in piece.channels for piece in pieces):
         return Error(nrmse, math.nan, unit, None)
     samples = np.concatenate([piece[target] for piece in pieces])
-    inside, known = 0, 0
-    for piece in pieces:
-        mean, sd = along.predictions(equations, piece, return_std=True)
-        mean, sd = (values if values.ndim == 1 else values[:, k] for values in (mean, sd))
-        there = np.isfinite(piece[target])
-        inside += int(np.count_nonzero(np.abs(piece[target] - mean)[there] <= Z95 * sd[there]))
-        known += int(there.sum())
-    return Error(nrmse, nrmse * float(np.nanstd(samples)), unit, inside / known if known else None)
+    parts = zip(*(along.predictions(equations, piece, return_std=True) for piece in pieces), strict=True)
+    mean, sd = (np.concatenate([one.reshape(len(one), -1)[:, k] for one in part]) for part in parts)
+    there = np.isfinite(samples)
+    inside = float(np.mean(np.abs(samples - mean)[there] <= Z95 * sd[there])) if there.any() else None
+    return Error(nrmse, nrmse * float(np.nanstd(samples)), unit, inside)
 
 
 def _free_run(name: str, runs: Sequence[Forecast], noise: float | None, nrmse: float) -> Error:
@@ -254,12 +242,10 @@ def _free_run(name: str, runs: Sequence[Forecast], noise: float | None, nrmse: f
     inside: float | None = None
     there = np.isfinite(samples)
     if noise is not None and all(name in run.low for run in runs) and there.any():
-        low, mean, high = (
-            np.concatenate([part[name] for part in parts])
-            for parts in zip(*((run.low, run.mean, run.high) for run in runs), strict=True)
-        )
+        parts = np.hstack([[run.low[name], run.mean[name], run.high[name]] for run in runs])
+        low, mean, high = parts[:, there]
         bottom, top = (np.hypot(side, Z95 * noise) for side in (mean - low, high - mean))
-        inside = float(np.mean((samples >= mean - bottom)[there] & (samples <= mean + top)[there]))
+        inside = float(np.mean((samples[there] >= mean - bottom) & (samples[there] <= mean + top)))
     return Error(nrmse, nrmse * float(np.nanstd(samples)), unit, inside)
 
 
@@ -271,15 +257,14 @@ def _verdict(
     what = "free runs follow" if free_run else "single steps follow"
     worst = max((error.nrmse for error in judged.values()), default=math.inf)
     if worst < EQUATION.as_the_mean:
-        within = percentages({"within": worst})
         if worst <= ROUGHLY:
-            return "follows", f"{what} the record {within}"
-        return "follows roughly", f"{what} the record only roughly, {within}"
+            return "follows", f"{what} the record within {percent(worst)}"
+        return "follows roughly", f"{what} the record only roughly, within {percent(worst)}"
     period = max(windows.values(), default=math.inf)
     if free_run and period <= ROUGHLY:
         return (
             "follows for a period",
-            f"free runs over one period follow the record {percentages({'within': period})}, over all of it they are"
+            f"free runs over one period follow the record within {percent(period)}, over all of it they are"
             " worse than the mean: small errors add up, as in chaotic or lightly damped motion",
         )
     return "does not hold", "worse than the mean: the equation does not hold for this record"

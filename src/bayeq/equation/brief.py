@@ -6,10 +6,12 @@ import os
 import shlex
 import textwrap
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayeq.dictionary import evaluate_terms
 from bayeq.equation import text
 from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation
@@ -17,10 +19,11 @@ from bayeq.equation.physical import forces_of, own_parameters
 from bayeq.equation.quantities import PhysicalParameters, Quantity
 from bayeq.equation.written import moment
 from bayeq.errors import in_digits, printable
+from bayeq.expressions import parse
 from bayeq.figures.runs import draw_states
 from bayeq.figures.style import above, axes_for, style
 from bayeq.figures.terms import draw_terms
-from bayeq.forecast.score import percentages
+from bayeq.forecast.score import percent, percentages
 from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
 from bayeq.markup import aligned, code, items, join, paragraph, table
 
@@ -51,64 +54,53 @@ DERIVED = ("omega_n",)
 
 
 def brief(eq: Answer, folder: str | os.PathLike[str] = "") -> str:
-    """Verdict, law in physical parameters where there are any, equations, checks and source.
-
-    No equation is printed where none was found, but a command to try, with the folder of the file.
-    """
+    """Verdict, law in physical parameters where there are any, equations, checks and source; or what to try."""
     lines = _wrapped(f"verdict: {eq.verdict.kind}: {sentence(eq)}")
     if eq.verdict.kind == "none":
         return "\n".join([*lines, "", *_wrapped(what_to_try(eq, folder))])
-    physical, owner = own_parameters(eq), _owner(eq)
+    physical, second = own_parameters(eq), [one for one in eq.equations if one.chain.order == 2]
+    # the equation that physical parameters are of, if that is one alone
+    owner = second[0] if len(second) == 1 else eq.equations[0] if len(eq.equations) == 1 else None
     for one in eq.equations:
         tabled = physical is None or _doubtful(one) or bool(one.shown_constants)
         lines += [
             *([""] if tabled or one is eq.equations[0] else []),
             *(_law(eq, physical, one, tabled) if physical is not None and one is owner else ()),
             # bold for a terminal; `click.echo` takes it out elsewhere
-            *(f"\x1b[1m{line}\x1b[0m" for line in _wrapped(printable(one.text), "    ")),
+            *(f"\x1b[1m{line}\x1b[0m" for line in _wrapped(one.text, "    ")),
         ]
         explained = one is owner or one.chain.stated
         if tabled or (not explained and len(one.shown) <= MOST_ROWS):
             lines += _table(one, ENGINES[eq.method].score, marked=physical is not None)
         elif not explained:
-            lines += _wrapped(printable(f"    95 % intervals: {_intervals(one, one.shown)}"), "      ")
+            lines += _wrapped(f"    95 % intervals: {_intervals(one, one.shown)}", "      ")
     if physical is not None and owner is None:
         lines += ["", *_quantities(physical)]
         if len(physical) and physical.unexplained and eq.equations[0].chain.order == 2:
-            lines += _wrapped(printable(f"    also in the equation: {', '.join(physical.unexplained)}"), "      ")
-        lines += _wrapped(printable(f"    {physical.note}"), "      ")
+            lines += _wrapped(f"    also in the equation: {', '.join(physical.unexplained)}", "      ")
+        lines += _wrapped(f"    {physical.note}", "      ")
     if physical is not None and any(f" {text.MARK}" in line for line in lines):
         lines += _wrapped(f"    {text.MARK} {text.OVER_MODELS}", "      ")
     above = len(lines)
     lines += ["", *_wrapped(checks(eq))]
     for one in eq.equations:
         which = f"{one.target}: " if len(eq.equations) > 1 else ""
-        small = [[_wrapped(printable(which + said)) for said in text.unseen(one, few, ADVICE)] for few in (FEW, 1)]
-        shortest = min(small, key=lambda said: sum(map(len, said)))
-        lines += [
-            line
-            for said in (*(_wrapped(printable(which + said)) for said in (*failed(one), *series(one))), *shortest)
-            for line in said
-        ]
-    lines += [line for said in text.given_of(eq) for line in _wrapped(printable(said))]
+        small = [[_wrapped(which + said) for said in text.unseen(one, few, ADVICE)] for few in (FEW, 1)]
+        others = (_wrapped(which + said) for said in (*failed(one), *series(one)))
+        lines += chain.from_iterable([*others, *min(small, key=lambda said: sum(map(len, said)))])
+    lines += chain.from_iterable(map(_wrapped, (*copies(eq), *text.given_of(eq))))
     lines += _wrapped(text.source_of(eq, short=True))
     if len(lines) > MOST_LINES >= len(lines) - lines.count("") + 1:
         del lines[above]
     return "\n".join(lines)
 
 
-def _owner(eq: Answer) -> Equation | None:
-    """The equation that physical parameters are of, if that is one alone."""
-    second = [one for one in eq.equations if one.chain.order == 2]
-    return second[0] if len(second) == 1 else eq.equations[0] if len(eq.equations) == 1 else None
-
-
 def _law(eq: Answer, physical: PhysicalParameters, owner: Equation, tabled: bool) -> list[str]:
     """The law in symbols, where it is one of these, its parameters, and the terms that have no place among them."""
     in_symbols, symbols = law_in_symbols(eq, physical), {q.symbol for q in physical}
-    lines = [*([] if in_symbols is None else _wrapped(printable(in_symbols), "    ")), *_quantities(physical)]
+    lines = [*([] if in_symbols is None else _wrapped(in_symbols, "    ")), *_quantities(physical)]
     also = ", ".join(physical.unexplained) if tabled else _intervals(owner, physical.unexplained, "x0" in symbols)
-    return lines + _wrapped(printable(f"    also in the equation: {also}"), "      ") if also else lines
+    return lines + _wrapped(f"    also in the equation: {also}", "      ") if also else lines
 
 
 def _intervals(equation: Equation, names: Sequence[str], without_constant: bool = False) -> str:
@@ -125,7 +117,7 @@ def _marked(row: text.Row) -> str:
 
 
 def _wrapped(words: str, indent: str = "  ") -> list[str]:
-    together = words.replace(" %", "\u00a0%")  # a number and its unit stay on a line
+    together = printable(words).replace(" %", "\u00a0%")  # a number and its unit stay on a line
     lines = textwrap.wrap(together, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
     return [line.replace("\u00a0", " ") for line in lines]
 
@@ -134,7 +126,8 @@ def sentence(eq: Answer) -> str:
     """The verdict's reason in words, behind its kind."""
     verdict = eq.verdict
     if verdict.kind != "found":
-        return printable(str(verdict).partition(": ")[2].removeprefix("no equation found: "))
+        said = verdict.reason if verdict.kind == "none" else str(verdict).partition(": ")[2]
+        return printable(said.removeprefix("no equation found: "))
     ranges = []
     for name in dict.fromkeys([*(n for one in eq.equations for n in one.chain.states), *eq.inputs]):
         if name in eq.data.measured.ranges and name not in eq.numbers:
@@ -148,6 +141,8 @@ def sentence(eq: Answer) -> str:
 
 def what_to_try(eq: Answer, folder: str | os.PathLike[str] = "") -> str:
     """Where no equation was found: the likely cause and a command."""
+    if eq.verdict.advice:
+        return printable(f"Likely {eq.verdict.advice}.")
     names = [name for name in eq.data.files if name]
     file = printable(shlex.quote(os.path.join(folder, names[0]))) if names else "FILE"
     return (
@@ -158,8 +153,7 @@ def what_to_try(eq: Answer, folder: str | os.PathLike[str] = "") -> str:
 
 def tabled_parameters(found: PhysicalParameters) -> list[tuple[str, str, str, str, str]]:
     """Symbol, value, interval, unit and meaning of physical parameters, but for those that follow from others."""
-    told = [(q.symbol, q.cells, q.meaning) for q in found if q.symbol not in DERIVED]
-    return [(symbol, mean, ends, unit, why) for symbol, (mean, _, ends, unit), why in told]
+    return [(q.symbol, q.cells[0], *q.cells[2:], q.meaning) for q in found if q.symbol not in DERIVED]
 
 
 def law_in_symbols(eq: Answer, found: PhysicalParameters) -> str | None:
@@ -184,8 +178,7 @@ def law_in_symbols(eq: Answer, found: PhysicalParameters) -> str | None:
 def _quantities(found: PhysicalParameters) -> list[str]:
     # a position of rest that is zero says nothing; shapes of modes are many
     told = [q for q in found if (q.mean or q.sd) and q.symbol not in DERIVED and not q.symbol.startswith("phi_")]
-    cells = [(q.symbol, *q.cells, _meaning(q)) for q in told]
-    rows = [(symbol, mean, f"({interval})", printable(unit), why) for symbol, mean, _, interval, unit, why in cells]
+    rows = [(q.symbol, q.cells[0], f"({q.cells[2]})", printable(q.cells[3]), _meaning(q)) for q in told]
     return [f"    {line}" for line in aligned(rows, left=(0, 2, 3, 4))]
 
 
@@ -227,14 +220,12 @@ def checks(eq: Answer) -> str:
     seen = [one for one in eq.equations if not one.chain.hidden]
     fits, where = [one.held_out for one in seen], "rows that were not used"
     if fits[0] is None:
-        fits, where = [one.train for one in seen], "the rows used (none were held out)"
+        fits, where = [one.train for one in seen], "of the rows used (none were held out)"
     pairs = [(one, fit) for one, fit in zip(seen, fits, strict=True) if fit is not None]
     scores, still = eq.scores, () if eq.scores is None or fits[0] is None else eq.scores.still
     # of a target that is estimated the error is mostly that of the estimate
     measured = [(one.target, fit) for one, fit in pairs if one.chain.measured[-1] or one.chain.discrete]
-    parts = [
-        f"{target} within {percentages({'': fit.nrmse}).strip()}" for target, fit in measured if target not in still
-    ]
+    parts = [f"{target} within {percent(fit.nrmse)}" for target, fit in measured if target not in still]
     if scores is not None and scores.blew_up_at is not None:
         parts.append(f"a free run over them blew up at {moment(scores.blew_up_at, eq.roles.discrete)}")
     elif scores is not None and set(scores.free_run) - set(still):
@@ -243,7 +234,7 @@ def checks(eq: Answer) -> str:
     if still:
         parts.append(f"{', '.join(still)} hardly move{'s' * (len(still) == 1)} there, which tests little")
     if not parts:
-        parts = [f"{one.target} within {percentages({'': fit.nrmse}).strip()}" for one, fit in pairs]
+        parts = [f"{one.target} within {percent(fit.nrmse)}" for one, fit in pairs]
     if all(not list(failed(one)) and one.verdict.kind == "found" for one in eq.equations):
         parts.append("what is left looks like noise")
     return printable(f"checked on {pairs[0][1].n} {where}: {', '.join(parts)}")
@@ -273,6 +264,23 @@ def failed(equation: Equation) -> Iterator[str]:
     yield from map(printable, (*text.forms_of(equation), *equation.at_ends))
     for left in equation.left_out:
         yield printable(f"likely, but left out ({left.reason}): {left.name}, probability {left.pip:.3f}")
+
+
+def copies(eq: Answer) -> Iterator[str]:
+    """Terms of the equations that others may stand for: the same on the record, and not elsewhere."""
+    shown = {name for one in eq.equations for name in one.shown}
+    for left in eq.dropped:
+        own = next((name for name in shown if left.reason == f"a copy of {name} on the data"), None)
+        if own is None:
+            continue
+        terms = [parse(left.name), parse(own)]
+        names = sorted(terms[0].names | terms[1].names)
+        columns = {name: np.cos((1.3 + k) * np.arange(1.0, 20.0)) for k, name in enumerate(names)}
+        with np.errstate(all="ignore"):
+            values = evaluate_terms(terms, columns)
+            first, second = (values - values.mean(axis=0)).T
+        if not abs(first @ second) > (1.0 - 1e-9) * np.linalg.norm(first) * np.linalg.norm(second):
+            yield f"{left.name} is the same as {own} on this record: either may be right beyond it"
 
 
 # Candidates that are not in the equation are listed up to this many.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -28,6 +28,7 @@ from bayeq.equation.verdict import (
 )
 from bayeq.errors import (
     AmbiguityWarning,
+    BayeqWarning,
     ConvergenceWarning,
     CorrelatedResidualsWarning,
     DataWarning,
@@ -41,11 +42,13 @@ from bayeq.inference.collapsed.path import model_log_posterior, partial_shares
 from bayeq.inference.collapsed.search import neighbours
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.posterior import Posterior
+from bayeq.likelihood.channels import Suspect
 from bayeq.numerics.settings import EQUATION
 from bayeq.records.names import in_si, parse_unit
-from bayeq.regression.by_likelihood import RecordRegression, changes_by_noise, inputs_of_hidden_noise
 from bayeq.regression.fit import RegressionFit
-from bayeq.regression.regression import Regression
+from bayeq.regression.regression import RecordRegression, Regression, changes_by_noise, inputs_of_hidden_noise
+from bayeq.states import Motion
+from bayeq.states.sensors import of_no_unit
 
 # The record contradicts what is stated of a coefficient if it moves it by more of the stated standard deviations, and
 # a bound if the coefficient would be further beyond without it, in its own ones.
@@ -96,7 +99,8 @@ def build_equations(
         if not (equation.shown or equation.intercept_matters) and equation.verdict.kind != "none":
             without = Verdict("none", "no equation found: no candidate term is in the equation")
             equation = replace(equation, verdict=without)
-        warn_of(equation, selection, log)
+        for said, category in warnings_of(equation, selection):
+            log.warn(f"{equation.target}: {said}", category)
         equations.append(equation)
     return tuple(equations), held_out_scores(dynamics, motion)
 
@@ -243,14 +247,21 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
         dependent,
         change,
     )
-    suspect = regression.suspect
-    if suspect is not None and (verdict.kind in ("nearly true", "found") or verdict.advice == LONGER):
+    late = _late(equation, regression.motion) if verdict.kind != "found" else None
+    suspect = late or regression.suspect
+    if suspect is not None and (late or verdict.kind in ("nearly true", "found") or verdict.advice == LONGER):
         seconds = [float(np.ptp(rows.time)) for rows in regression.motion.train if rows.time is not None]
         verdict = suspecting(verdict, suspect, max(seconds))
+    odd = of_no_unit(equation.chain, equation.unit_gains, equation.units)
+    if odd is not None and verdict.kind == "found":
+        name, below, factor = odd
+        reason = f"{name} is {factor:.3g} times what {below} gives, and no unit differs by that"
+        verdict = Verdict("nearly true", reason, f"check calibration and filters of {name}")
     beyond = selection.fit.beyond_bounds(CONTRADICTED)
-    if beyond and verdict.kind != "none":
-        bounds = some_of([_beyond(name, *one) for name, one in beyond.items()], 60)
-        return Verdict("not determined", f"the record contradicts {bounds}", "check units, or drop that")
+    refused = [_beyond(name, *one) for name, one in beyond.items()]
+    refused += [text for text, _ in _against_stated(equation, selection)]
+    if refused and verdict.kind != "none":
+        return Verdict("not determined", f"the record contradicts {some_of(refused, 60)}", "check units, or drop that")
     if isinstance(regression, RecordRegression) and regression.record.rivals and verdict.kind != "none":
         other = ", ".join(f"{name} = {value:.4g}" for name, value in regression.record.rivals[0].items())
         return Verdict("not determined", f"as likely with {other}", "give narrower ranges, as in {a: 0.1..1}")
@@ -260,9 +271,29 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
     return Verdict("not determined", reason, "give fewer candidate terms, or compare with another method")
 
 
+def _late(equation: Equation, motion: Motion) -> Suspect | None:
+    """The channel that most of what is left follows some rows earlier or later."""
+    driver, time = equation.residuals.driver, motion.train[0].time
+    if driver is None or not driver.lag or not driver.correlation**2 > 0.5 or time is None or equation.chain.discrete:
+        return None
+    return Suspect(driver.name, "lag", -driver.lag * float(np.median(np.diff(time))))
+
+
 def _beyond(name: str, end: float, free: float, sds: float) -> str:
     """A bound, and by how many standard deviations the coefficient would be beyond it."""
     return f"{name} {'<=' if free > end else '>='} {end:.4g} by {in_digits(sds)} sd"
+
+
+def _against_stated(equation: Equation, selection: Selection) -> Iterator[tuple[str, float]]:
+    """What was stated of coefficients and the record contradicts, with what it says without that."""
+    posterior = equation.posterior
+    known = posterior if posterior.projected is None else posterior.projected
+    for j, mean, sd in selection.fit.constraints.stated:
+        stated, precision = sd**-2.0, known.sd[j] ** -2.0
+        alone = max(precision - stated, 1e-8 * precision)
+        value = (known.coef[j] * precision - mean * stated) / alone
+        if abs(value - mean) > CONTRADICTED * math.hypot(sd, alone**-0.5):
+            yield f"{posterior.names[j]} ~ {mean:.4g} +- {sd:.3g}", float(value)
 
 
 def _runners_up(fit: RegressionFit, posterior: Posterior) -> tuple[RunnerUp, ...]:
@@ -299,134 +330,96 @@ def _against(equation: Equation, inputs: Sequence[str]) -> str | None:
     return None if value > 0.0 or (unit is not None and unit[1] == {"m": 1, "s": -2}) else name
 
 
-def warn_of(equation: Equation, selection: Selection, log: WarningLog) -> None:
-    """Record what makes an equation less than it seems."""
-    target, posterior = equation.target, equation.posterior
-    if not posterior.details.converged:
-        rhat = "" if posterior.details.rhat is None else f", multivariate R-hat {posterior.details.rhat:.3g}"
-        log.warn(
-            f"{target}: the search was stopped early{rhat}: probabilities may be off; give fewer terms",
-            ConvergenceWarning,
-        )
+Said = Iterator[tuple[str, type[BayeqWarning]]]
+
+
+def warnings_of(equation: Equation, selection: Selection) -> Said:
+    """What makes an equation less than it seems."""
+    details = equation.posterior.details
+    if not details.converged:
+        rhat = "" if details.rhat is None else f", multivariate R-hat {details.rhat:.3g}"
+        yield f"the search was stopped early{rhat}: probabilities may be off; give fewer terms", ConvergenceWarning
     regression = selection.fit.regression
     if not regression.counts_rows and math.isnan(regression.exact):
-        log.warn(
-            f"{target}: whether the law is exact or only nearly true is not known: measure longer", ConvergenceWarning
-        )
-    own = posterior.coef if posterior.projected is None else posterior.projected.coef
-    for j, mean, sd in selection.fit.constraints.stated:
-        if abs(own[j] - mean) > CONTRADICTED * sd:
-            log.warn(
-                f"{target}: the record contradicts {posterior.names[j]} ~ {mean:.4g} +- {sd:.3g}: it is"
-                f" {own[j]:.4g}; check both, or drop that",
-                DataWarning,
-            )
+        yield "whether the law is exact or only nearly true is not known: measure longer", ConvergenceWarning
+    for text, value in _against_stated(equation, selection):
+        yield f"the record contradicts {text}: it says {value:.4g}; check both, or drop that", DataWarning
     force = _against(equation, regression.motion.roles.inputs)
     if force is not None:
-        log.warn(
-            f"{target}: {force} acts against {equation.chain.names[0]}: reverse it, if a force (--scale {force}=-1)",
-            DataWarning,
-        )
+        against = f"{force} acts against {equation.chain.names[0]}"
+        yield f"{against}: reverse it, if a force (--scale {force}=-1)", DataWarning
     beyond = selection.fit.beyond_bounds(CONTRADICTED)
-    contradicted = [name for name in posterior.details.contradicted if name not in beyond]
+    contradicted = [name for name in details.contradicted if name not in beyond]
     if contradicted:
         what = "sign" if selection.fit.constraints.bounds is None else "sign or bound"
-        log.warn(
-            f"{target}: the data contradict the known {what} of {some_of(contradicted, 16)}: check directions, or"
-            " drop it",
-            DataWarning,
-        )
+        of = some_of(contradicted, 16)
+        yield f"the data contradict the known {what} of {of}: check directions, or drop it", DataWarning
     for name, (end, free, sds) in beyond.items():
-        log.warn(
-            f"{target}: the record contradicts {_beyond(name, end, free, sds)} (free: {free:.4g}): check units",
-            DataWarning,
-        )
+        bound = _beyond(name, end, free, sds)
+        yield f"the record contradicts {bound} (free: {free:.4g}): check units", DataWarning
     if equation.verdict.kind == "none":
         why = equation.verdict.reason.removeprefix("no equation found: ").partition(", though")[0].partition(" (")[0]
-        why = why.replace("started from a measured state the equation is", "free runs are").replace(f"of {target} ", "")
-        log.warn(f"no equation for {target}: {why}; check channels", DataWarning)
+        why = why.replace("started from a measured state the equation is", "free runs are")
+        yield f"no equation: {why.replace(f' of {equation.target}', '')}; check channels", DataWarning
     else:  # of no equation no terms are shown
-        _warn_of_rivals(equation, selection, log)
-    _warn_of_residuals(equation, selection, log)
-    _warn_of_hidden_noise(equation, regression=selection.shown_fit.regression, log=log)
+        yield from _of_rivals(equation, selection)
+    yield from _of_residuals(equation, regression)
+    yield from _of_hidden_noise(equation, selection.shown_fit.regression)
 
 
-def _warn_of_rivals(equation: Equation, selection: Selection, log: WarningLog) -> None:
-    """Record which other terms may be in."""
-    target = equation.target
-    found = selection.fit.posterior
+def _of_rivals(equation: Equation, selection: Selection) -> Said:
+    """Which other terms may be in."""
+    found, posterior = selection.fit.posterior, equation.posterior
     optimum = found.details.optimum
     if optimum is not None and bool((optimum != found.support).any()):
-        other = [n for n, kept in zip(found.names, optimum, strict=True) if kept]
-        log.warn(
-            f"{target}: variational Bayes alone takes other terms ({some_of(other or ['none'], 24)}): measure longer",
-            AmbiguityWarning,
-        )
+        other = some_of([n for n, kept in zip(found.names, optimum, strict=True) if kept] or ["none"], 24)
+        yield f"variational Bayes alone takes other terms ({other}): measure longer", AmbiguityWarning
     written = [left.name for left in equation.left_out if left.reason == "dependent"]
     if written:
-        log.warn(
-            f"{target}: {some_of(written, 20)} can be written by the terms shown; either may be in: give fewer terms",
-            AmbiguityWarning,
-        )
-    likelier = [r for r in equation.runners_up if r.log_odds > 0.0]
+        by = "can be written by the terms shown; either may be in: give fewer terms"
+        yield f"{some_of(written, 20)} {by}", AmbiguityWarning
+    likelier = [f"{r} (odds {r.odds})" for r in equation.runners_up if r.log_odds > 0.0]
     if likelier and not equation.left_out:
-        listed = some_of([f"{r} (odds {r.odds})" for r in likelier], 30, "; ")
-        log.warn(
-            f"{target}: shown are PIPs above 0.5; likelier is the equation {listed}: measure longer", AmbiguityWarning
-        )
+        listed = some_of(likelier, 30, "; ")
+        yield f"shown are PIPs above 0.5; likelier is the equation {listed}: measure longer", AmbiguityWarning
     swaps = [r for r in equation.runners_up if r.leaves and r.enters and r.log_odds > -AMBIGUOUS]
-    if found.average is not None:
-        _warn_of_groups(equation, {left.name for left in equation.left_out}, {*written}, log)
-    elif swaps:
+    if posterior.average is None and swaps:
         listed = some_of([f"{r} (odds {r.odds})" for r in swaps], 30, "; ")
-        log.warn(f"{target}: the record cannot tell terms apart: {listed}; {TELL_APART}", AmbiguityWarning)
+        yield f"the record cannot tell terms apart: {listed}; {TELL_APART}", AmbiguityWarning
+    names, left_out = posterior.names, [left.name for left in equation.left_out]
+    for members, some in posterior.average.credible_groups() if posterior.average is not None else ():
+        group = [names[j] for j in members]
+        if some <= 0.5 or not {*written}.isdisjoint(group):
+            continue  # more likely than not that none of them is in; or said already
+        listed = some_of([f"{names[j]} (PIP {posterior.pip[j]:.2f})" for j in members], 30)
+        shown = [name for name in group if name in equation.shown]
+        beside = [name for name in group if name in left_out]
+        none = f"none, for {', '.join(beside)} is left out" if beside else "none"
+        yield f"cannot tell {listed} apart; shown: {some_of(shown or [none], 12)}; {TELL_APART}", AmbiguityWarning
 
 
-def _warn_of_residuals(equation: Equation, selection: Selection, log: WarningLog) -> None:
-    target, residuals, regression = equation.target, equation.residuals, selection.fit.regression
+def _of_residuals(equation: Equation, regression: Regression) -> Said:
+    residuals = equation.residuals
     if residuals.discrepancy is not None:
         return
     if residuals.correlated:
         counted = regression.gram.n < equation.train.n
         so = ", which is what the rows count for" if counted else ": intervals may be too narrow"
-        log.warn(
-            f"{target}: correlated residuals, worth {residuals.n_eff:.0f} of {residuals.n:d} rows{so}"
-            f"{'; add terms or inputs' if regression.motion.smoothing else '; use --smooth auto'}",
-            CorrelatedResidualsWarning,
-        )
+        advice = "add terms or inputs" if regression.motion.smoothing else "use --smooth auto"
+        worth = f"worth {residuals.n_eff:.0f} of {residuals.n:d} rows"
+        yield f"correlated residuals, {worth}{so}; {advice}", CorrelatedResidualsWarning
     if residuals.driven and residuals.driver is not None:
-        log.warn(
-            f"{target}: the residuals follow {residuals.driver}: add a term, or learn its lag (--lag-sd)",
-            CorrelatedResidualsWarning,
-        )
+        cure = "add a term, or learn its lag (--lag-sd)"
+        yield f"the residuals follow {residuals.driver}: {cure}", CorrelatedResidualsWarning
 
 
-def _warn_of_hidden_noise(equation: Equation, regression: Regression, log: WarningLog) -> None:
-    """Say what noise of an input that the record does not show would have done."""
+def _of_hidden_noise(equation: Equation, regression: Regression) -> Said:
+    """What noise of an input that the record does not show would have done."""
     for name in inputs_of_hidden_noise(regression, equation.shown_posterior):
         try:
             changes = changes_by_noise(regression, equation.shown_posterior, name, [NOISE_OF_INPUT])
         except np.linalg.LinAlgError:  # terms that are next to infinite somewhere
             continue
         term, (change,) = max(changes.items(), key=lambda one: abs(one[1][0]))
-        log.warn(
-            f"{equation.target}: noise of {name} unseen, {100 * NOISE_OF_INPUT:.0f} % would shift {term} by"
-            f" {100 * change:+.2g} %: give --noise {name}=SD",
-            DataWarning,
-        )
-
-
-def _warn_of_groups(equation: Equation, left_out: Set[str], written: Set[str], log: WarningLog) -> None:
-    posterior = equation.posterior
-    assert posterior.average is not None
-    for members, some in posterior.average.credible_groups():
-        if some <= 0.5 or written & {posterior.names[j] for j in members}:
-            continue  # more likely than not that none of them is in; or said already
-        listed = some_of([f"{posterior.names[j]} (PIP {posterior.pip[j]:.2f})" for j in members], 30)
-        shown = [posterior.names[j] for j in members if equation.shown_posterior.support[j]]
-        beside = [posterior.names[j] for j in members if posterior.names[j] in left_out]
-        none = f"none, for {', '.join(beside)} is left out" if beside else "none"
-        log.warn(
-            f"{equation.target}: cannot tell {listed} apart; shown: {some_of(shown or [none], 12)}; {TELL_APART}",
-            AmbiguityWarning,
-        )
+        shift = f"{100 * NOISE_OF_INPUT:.0f} % would shift {term} by {100 * change:+.2g} %"
+        yield f"noise of {name} unseen, {shift}: give --noise {name}=SD", DataWarning

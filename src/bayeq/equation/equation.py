@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from bayeq.arrays import Bools, Floats
 from bayeq.dictionary.ranges import ConstantEstimate, Forms
 from bayeq.equation import written
-from bayeq.equation.export import Uncertainty, sum_in_latex
+from bayeq.equation.export import Uncertainty, right_hand_side, sum_in_latex
 from bayeq.equation.intervals import Model, OverModels, cut, over_models, unlike
 from bayeq.equation.plan.information import CandidateModel
 from bayeq.equation.selection.select import LeftOut
@@ -43,19 +43,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class RunnerUp:
-    """A model one move away from the chosen one.
+    """A model one move away from the chosen one."""
 
-    Attributes
-    ----------
-    leaves, enters : str or None
-        Term taken out of and put into the chosen model.
-    log_odds : float
-        Log posterior odds against the chosen model, ln p(runner-up | y) / p(chosen | y).
-    """
-
-    leaves: str | None
-    enters: str | None
-    log_odds: float
+    leaves: str | None  # term taken out of the chosen model
+    enters: str | None  # term put into it
+    log_odds: float  # ln p(runner-up | y) / p(chosen | y)
 
     @property
     def odds(self) -> str:
@@ -481,11 +473,7 @@ class Equation:
         (n,) array
             In the target's unit.
         """
-        p, evaluate = self.shown_posterior, Evaluator(columns)
-        total: Any = p.intercept
-        for j in np.flatnonzero(p.support):
-            total = total + p.coef[j] * evaluate(self.terms[j])
-        return np.asarray(total, dtype=np.float64)
+        return np.asarray(right_hand_side(self.law, Evaluator(columns)), dtype=np.float64)
 
     def predict(self, columns: Mapping[str, Floats], return_std: bool = False) -> Any:
         """Predictive mean (29), and with `return_std` the standard deviation (30), at n rows of columns.

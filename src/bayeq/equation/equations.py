@@ -10,8 +10,12 @@ from math import sqrt
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
+from bayeq.equation import along
 from bayeq.equation.answer import Answer
+from bayeq.equation.intervals import draws_of
+from bayeq.equation.plan.designs import Amplitude, conditions_of
 from bayeq.errors import DataWarning, FileFormatError, InputError, as_path
+from bayeq.figures.style import named
 from bayeq.forecast.score import Scores
 from bayeq.records import Record, with_row_numbers
 from bayeq.records.io import replacing
@@ -24,7 +28,6 @@ from bayeq.states.prepare import in_samples, numbered
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from bayeq.equation.plan.designs import Amplitude
     from bayeq.equation.plan.result import Plan
     from bayeq.equation.quantities import PhysicalParameters
     from bayeq.forecast.free_run import Forecast
@@ -116,10 +119,8 @@ class Equations(Answer):
         DataWarning
             Samples that are missing or left out, if `discover` has not said so.
         """
-        from bayeq.equation.along import predictions
-
         (record,) = self._prepared([record], "predict")
-        return predictions(self, record, return_std)
+        return along.predictions(self, record, return_std)
 
     def motion(self, record: Record) -> MotionRows:
         """States, targets and inputs of a record as `discover` makes them: smoothed, bridged, estimated.
@@ -195,12 +196,10 @@ class Equations(Answer):
             As `predict`, where all channels of the chains are in the record: without them nobody can tell a blow of an
             input from a spike.
         """
-        from bayeq.equation.along import free_run, prepared
-
         (record,) = self._timed([record], "simulate")
         if all(name in record.channels for name in self.roles.channels):
-            (record,) = prepared(self, [record])
-        return free_run(
+            (record,) = along.prepared(self, [record])
+        return along.free_run(
             self, record, initial=initial, draws=draws, seed=seed, start=start, rows=rows, interpolation=interpolation
         )
 
@@ -239,11 +238,9 @@ class Equations(Answer):
         DataWarning
             As `predict`.
         """
-        from bayeq.equation.along import scores
-
         # rows that are named are counted in whole records
         pieces = self._prepared(_as_list(records, "score"), "score", divide=start is None)
-        return scores(self, pieces, start=start, rows=rows, interpolation=interpolation)
+        return along.scores(self, pieces, start=start, rows=rows, interpolation=interpolation)
 
     def refine(
         self, records: Record | Sequence[Record], *, holdout: float = 0.2, interpolation: Interpolation | None = None
@@ -295,12 +292,10 @@ class Equations(Answer):
         DataWarning
             As `predict`; runs contradict a known sign, or leave more of a channel than the noise given of it.
         """
-        from bayeq.equation.along import refinement
-
         conserved = next((text for text in self.constraints if text.endswith(CONSERVED)), None)
         if conserved is not None:
             raise InputError(f"refine: {conserved}, which output error does not keep to: leave --refine out")
-        return refinement(self, self._timed(_as_list(records, "refine"), "refine"), holdout, interpolation)
+        return along.refinement(self, self._timed(_as_list(records, "refine"), "refine"), holdout, interpolation)
 
     def _timed(self, records: Sequence[Record], purpose: str) -> list[Record]:
         """Records with row numbers as time, if that of the equations is such and theirs is not known either."""
@@ -309,16 +304,12 @@ class Equations(Answer):
                 raise InputError(f"{purpose} needs a Record (read, Record.from_dataframe), not {type(record).__name__}")
         if self.roles.discrete:
             return [in_samples(record, self.roles) for record in records]
-        from bayeq.equation.along import in_units_of
-
-        records = [in_units_of(self, record)[0] for record in numbered(records, self.numbers)]
+        records = [along.in_units_of(self, record)[0] for record in numbered(records, self.numbers)]
         return with_row_numbers(records) if self.data.rows_as_time else records
 
     def _prepared(self, records: Sequence[Record], purpose: str, divide: bool = False) -> list[Record]:
         """Records without bad samples; what `discover` has said of them is not said again."""
-        from bayeq.equation.along import prepared
-
-        return prepared(self, self._timed(records, purpose), divide, level=4)
+        return along.prepared(self, self._timed(records, purpose), divide, level=4)
 
     def plan(
         self,
@@ -378,7 +369,6 @@ class Equations(Answer):
         DataWarning
             The verdict on the equations is that none was found.
         """
-        from bayeq.equation.plan.designs import conditions_of
         from bayeq.equation.plan.plan import plan_excitation
 
         heads = {equation.target for equation in self.equations}
@@ -524,9 +514,6 @@ class Equations(Answer):
         MissingExtraError
             ArviZ is not installed.
         """
-        from bayeq.equation.intervals import draws_of
-        from bayeq.figures.style import named
-
         targets = [equation.target for equation in self]
         if target is None and len(targets) > 1:
             raise InputError(f"to_arviz: there are several equations: say which by target= ({', '.join(targets)})")

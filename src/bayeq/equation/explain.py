@@ -27,10 +27,7 @@ VERDICTS = {
 
 
 def explanation(eq: Answer, conditional: bool = False) -> str:
-    """Every part of the printed answer in plain words, for the parts that this answer has.
-
-    With `conditional` it was printed with the intervals given the terms shown.
-    """
+    """The printed answer in plain words; with `conditional` it was printed with the intervals given the terms shown."""
     paragraphs = ["What this says", f"verdict {eq.verdict.kind!r}: {VERDICTS[eq.verdict.kind]}."]
     for equation in eq.equations:
         if len(eq.equations) > 1:
@@ -42,26 +39,9 @@ def explanation(eq: Answer, conditional: bool = False) -> str:
             continue
         paragraphs += _of_terms(equation, ENGINES[eq.method].score)
         paragraphs += _of_intervals(equation, conditional)
-        paragraphs += _of_fits(equation, eq)
-        paragraphs += _of_residuals(equation)
-        paragraphs += _of_others(equation)
+        paragraphs += _of_checks(equation, eq)
     paragraphs += _of_data(eq)
     return "\n\n".join(textwrap.fill(text, WIDTH, break_long_words=False) for text in paragraphs)
-
-
-def _of_others(equation: Equation) -> Iterator[str]:
-    if equation.undetermined and equation.bound is not None:
-        yield (
-            f"too small to be seen here: {equation.undetermined[0]} and the like do not show in this record, whether"
-            " they are in the law or not; at ten times its amplitude they could matter. The coefficient's magnitude is"
-            " below the bound, with 95 % probability; a stronger excitation would tell."
-        )
-    if equation.runners_up:
-        best = equation.runners_up[0]
-        yield (
-            "runners-up: the next equations, and their odds. 1:20 means that the printed one is twenty times as"
-            f" probable, given this record. The first of them is the equation {best}, at {best.odds}."
-        )
 
 
 def _of_terms(equation: Equation, score: str) -> Iterator[str]:
@@ -124,7 +104,7 @@ def _of_constants(equation: Equation) -> Iterator[str]:
         )
 
 
-def _of_fits(equation: Equation, eq: Answer) -> Iterator[str]:
+def _of_checks(equation: Equation, eq: Answer) -> Iterator[str]:
     if equation.held_out is not None:
         fit = equation.held_out
         yield (
@@ -139,9 +119,6 @@ def _of_fits(equation: Equation, eq: Answer) -> Iterator[str]:
             "free run: the equation is started once and left to itself, driven by the measured inputs alone. Errors add"
             " up there, so that this is the hardest test; 100 % would be as bad as predicting the mean."
         )
-
-
-def _of_residuals(equation: Equation) -> Iterator[str]:
     found = equation.residuals
     if found.correlated:
         yield (
@@ -159,6 +136,18 @@ def _of_residuals(equation: Equation) -> Iterator[str]:
         yield (
             f"residuals follow {found.driver}: what is left over is like that channel, and not by chance; a term with"
             " it may be missing, or it is delayed against the others."
+        )
+    if equation.undetermined and equation.bound is not None:
+        yield (
+            f"too small to be seen here: {equation.undetermined[0]} and the like do not show in this record, whether"
+            " they are in the law or not; at ten times its amplitude they could matter. The coefficient's magnitude is"
+            " below the bound, with 95 % probability; a stronger excitation would tell."
+        )
+    if equation.runners_up:
+        best = equation.runners_up[0]
+        yield (
+            "runners-up: the next equations, and their odds. 1:20 means that the printed one is twenty times as"
+            f" probable, given this record. The first of them is the equation {best}, at {best.odds}."
         )
 
 

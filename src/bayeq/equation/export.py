@@ -55,6 +55,15 @@ def to_callable(laws: Sequence[Law], inputs: Sequence[str], timed: bool, module:
     return rhs
 
 
+def right_hand_side(law: Law, evaluate: Callable[[Expression], Any], number: Callable[[float], Any] = float) -> Any:
+    """Intercept and terms of a law, summed, in numbers or in SymPy."""
+    p = law.posterior
+    total = number(p.intercept)
+    for j in np.flatnonzero(p.support).tolist():
+        total = total + number(float(p.coef[j])) * evaluate(law.terms[j])
+    return total
+
+
 def derivatives(
     law: Law,
     columns: Mapping[str, Any],
@@ -63,11 +72,7 @@ def derivatives(
     number: Callable[[float], Any] = float,
 ) -> list[Any]:
     """Of the states of a chain, in numbers or in SymPy; the target of a law where there are only `static` ones."""
-    p = law.posterior
-    total = number(p.intercept)
-    for j in np.flatnonzero(p.support).tolist():
-        total = total + number(float(p.coef[j])) * evaluate(law.terms[j])
-    above = [*(columns[name] for name in law.chain.states[1:]), total]
+    above = [*(columns[name] for name in law.chain.states[1:]), right_hand_side(law, evaluate, number)]
     factors = rates(law.chain, law.unit_gains) or (1.0,) * static
     return [row if factor == 1.0 else number(factor) * row for factor, row in zip(factors, above, strict=False)]
 
@@ -283,8 +288,6 @@ MOST_PLACES = 12
 def sum_in_latex(parts: Sequence[tuple[float, float, str]], uncertainty: Uncertainty) -> str:
     r"""A sum of numbers, with standard deviations, times terms in LaTeX.
 
-    Examples
-    --------
     >>> sum_in_latex([(-992.61, 2.64, "x"), (-2.0e-7, 3.1e-9, "v"), (1.5, 0.012, "")], "brackets")
     '-992.6(2.6)\\,x - 2.000(31) \\times 10^{-7}\\,v + 1.500(12)'
     >>> sum_in_latex([(-992.61, 2.64, "x")], "plus-minus")

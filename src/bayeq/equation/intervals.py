@@ -34,32 +34,16 @@ class OverModels:
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """An equation's coefficients under one account of its terms, in original units.
+    """An equation's coefficients under one account of its terms, in original units."""
 
-    Attributes
-    ----------
-    terms : tuple of str
-        The P candidates.
-    inside : (P,) bool array
-        Those in the model.
-    coef, sd : (P,) arrays
-        Posterior means and standard deviations, 0 for a term that is out.
-    ci95 : (P, 2) array
-        95 % intervals.
-    intercept, intercept_sd : float
-        Of the constant, whether it is in the model or probably zero.
-    covariance : (r, r) array or None
-        Of the r coefficients in the model; None over models.
-    """
-
-    terms: tuple[str, ...]
-    inside: Bools
-    coef: Floats
-    sd: Floats
-    ci95: Floats
-    intercept: float
+    terms: tuple[str, ...]  # the P candidates
+    inside: Bools  # (P,), those in the model
+    coef: Floats  # (P,), posterior means, 0 for a term that is out
+    sd: Floats  # (P,), and standard deviations
+    ci95: Floats  # (P, 2), 95 % intervals
+    intercept: float  # of the constant, whether it is in the model or probably zero
     intercept_sd: float
-    covariance: Floats | None = None
+    covariance: Floats | None = None  # (r, r), of the r coefficients in the model; None over models
 
     @classmethod
     def of(cls, posterior: Posterior, terms: tuple[str, ...]) -> Model:

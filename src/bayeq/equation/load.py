@@ -60,27 +60,22 @@ def load(path: str | Path) -> Equations:
     try:
         with path.open("rb") as file:
             text = file.read(MOST_BYTES + 1)  # a device may have no end
-        if len(text) > MOST_BYTES:
-            raise FileFormatError(f"{path}: longer than {MOST_BYTES // 2**20} MiB: not a file of equations")
-        content = json.loads(text.decode())
+        content = json.loads(text.decode()) if len(text) <= MOST_BYTES else None
     except FileNotFoundError:
         raise FileFormatError(f"no such file: {path}{near_files(path)}") from None
     except OSError as error:
         raise FileFormatError(f"{path}: {error.strerror or error}") from error
-    except FileFormatError:
-        raise
     except (ValueError, RecursionError) as error:
         raise FileFormatError(f"{path}: not a JSON file") from error
+    if len(text) > MOST_BYTES:
+        raise FileFormatError(f"{path}: longer than {MOST_BYTES // 2**20} MiB: not a file of equations")
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise FileFormatError(f"{path}: not a file of equations saved by bayeq (no format {FORMAT!r})")
     return restored(content, str(path))
 
 
 def restored(content: Saved, where: str) -> Equations:
-    """Equations from the content of a file of them, which `bayeq.equation.to_json.to_saved` made.
-
-    FileFormatError, with where it was found, if it does not agree with `json_schema` or with itself.
-    """
+    """Equations from what `to_saved` made of them; FileFormatError, with where it was found, if it is damaged."""
     try:
         fault = first_fault(content)
         if fault is not None:
@@ -112,16 +107,12 @@ def _value(kind: Any, saved: Any) -> Any:
 
 
 def _fields(kind: Any, saved: Saved, *names: str) -> dict[str, Any]:
-    """Fields of a dataclass that were saved under their own names: all, or those named.
-
-    What an earlier version did not write keeps its default.
-    """
+    """Fields of a dataclass saved under their own names, all or those named; what was not written keeps its default."""
     hints = _hints(kind)
     return {name: _value(hints[name], saved[name]) for name in names or hints if name in saved}
 
 
 def _restore(content: Saved) -> Equations:
-    """The equations of content that agrees with the schema."""
     diagnostics = content["diagnostics"]
     data = {name: value for name, value in content["data"].items() if value is not None}
     roles = Roles.parse(data["chains"], inputs=data["inputs"])
@@ -205,7 +196,6 @@ def _restored_equation(content: Saved, k: int, chain: Chain, names: Sequence[str
 
 
 def _restored_posterior(method: str, names: tuple[str, ...], saved: Saved, state: Saved, checks: Saved) -> Posterior:
-    """Of the included terms."""
     terms, listed, average = saved["terms"], state["average"], None
     if listed is not None:
         average = ModelAverage(
@@ -295,10 +285,7 @@ def _column(terms: Sequence[Saved], name: str, known: bool = False) -> Any:
 
 
 def _check_restored(equation: Equation) -> None:
-    """Check that what is computed from an equation is finite.
-
-    ValueError for numbers too large to compute with, BayeqError for units that cannot be read.
-    """
+    """Check that what is computed is finite: ValueError for numbers too large, BayeqError for units that are none."""
     ends = [np.array([*equation.intercept_ci95, *equation.printed_intercept_ci95])]
     with np.errstate(all="ignore"):
         for p in (equation.posterior, equation.shown_posterior):

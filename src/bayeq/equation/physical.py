@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import compress
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -30,7 +31,7 @@ from bayeq.expressions import Binary, Expression, Node, Number, Symbol, parse
 from bayeq.expressions.functions import TIME
 from bayeq.expressions.nodes import jumps_of
 from bayeq.figures.style import named
-from bayeq.forecast.dynamics import Dynamics, Law
+from bayeq.forecast.dynamics import Law, moments, normal_draws
 from bayeq.numerics.distributions import Z95
 from bayeq.states import Chain
 
@@ -81,24 +82,22 @@ def oscillator_parameters(
             "physical parameters are per second, and time is not known: give the sampling rate (fs=, --fs)"
         )
     if target is None:
-        second = [one.law for one in eq.equations if one.chain.order == 2]
-        if len(second) > 1 and len(second) == len(eq.equations) and mass is None and force is None:
-            return system_parameters(second, eq.inputs, eq.equations[0].units, draws=draws, seed=seed)
-        if all(one.chain.order == 1 for one in eq.equations):
-            laws = [one.law for one in eq.equations]
-            hidden = {one.target: _fed_back(one, [other for other in eq.equations if other.chain.hidden]) for one in eq}
+        laws, second = [one.law for one in eq], [one.target for one in eq if one.chain.order == 2]
+        if 1 < len(second) == len(laws) and mass is None and force is None:
+            return system_parameters(laws, eq.inputs, eq.equations[0].units, draws=draws, seed=seed)
+        if all(one.chain.order == 1 for one in eq):
+            hidden = {one.target: _fed_back(one, [other for other in eq if other.chain.hidden]) for one in eq}
             units = {**eq.equations[0].units, TIME: eq.data.clock}
             return first_order_parameters(laws, eq.inputs, units, without=hidden, draws=draws, seed=seed)
-        named_ones = [one.target for one in eq.equations if one.chain.order == 2]
-        if not named_ones:
+        if not second:
             raise InputError(
                 "physical parameters are those of a second-order equation, x'' = ...; here there are only"
                 f" {', '.join(f'{e.target} (order {e.chain.order})' for e in eq.equations)}"
             )
-        if len(named_ones) > 1:
-            raise InputError(f"name one of the equations as target: {', '.join(named_ones)}")
-        (target,) = named_ones
-    equation = eq[named("equation", target, [one.target for one in eq.equations])]
+        if len(second) > 1:
+            raise InputError(f"name one of the equations as target: {', '.join(second)}")
+        (target,) = second
+    equation = eq[named("equation", target, [one.target for one in eq])]
     name = equation.chain.names[0]
     span = eq.data.measured.ranges.get(name)
     if span and not span[0] <= 0.0 <= span[1] and equation.verdict.kind in ("none", "not determined"):
@@ -106,17 +105,9 @@ def oscillator_parameters(
             f"the stiffness cannot be told: the verdict is {equation.verdict.kind!r}, and {name} is nowhere zero;"
             f" measure {name} from the position of rest (bayeq.remove_offset, --remove-offset {name})"
         )
-    without = _fed_back(equation, [one for one in eq.equations if one.chain.order == 1])
+    law, without = equation.law, _fed_back(equation, [one for one in eq if one.chain.order == 1])
     return physical_parameters(
-        equation.law,
-        eq.inputs,
-        equation.units,
-        mass=mass,
-        force=force,
-        span=span,
-        without=without,
-        draws=draws,
-        seed=seed,
+        law, eq.inputs, equation.units, mass=mass, force=force, span=span, without=without, draws=draws, seed=seed
     )
 
 
@@ -194,21 +185,17 @@ def physical_parameters(
     inertia = "moment of inertia" if system.turns else "mass"
     if weight is not None:
         quantities.append(quantity("m", inertia, weight, system.mass()))
-    per = "" if weight is not None else "/m"
+    per, each = ("", "") if weight is not None else ("/m", f" per unit of {'inertia' if system.turns else 'mass'}")
     for f in forces:
         values = -theta[f.symbol] * (1.0 if weight is None else weight)
-        meaning = (
-            f.meaning if weight is not None else f"{f.meaning} per unit of {'inertia' if system.turns else 'mass'}"
-        )
-        quantities.append(quantity(f.symbol + per, meaning, values, system.unit(f.powers, weight is not None)))
+        quantities.append(quantity(f.symbol + per, f.meaning + each, values, system.unit(f.powers, weight is not None)))
     if position is not None:
         quantities.append(quantity("x0", "position of rest", position * system.per_length, system.displacement()))
-    explained = {f.term for f in forces} | ({driven} if driven is not None else set())
     known = {q.symbol: q for q in quantities}
     whole = "zeta" in known and not (without or mixed)
-    modes = [Mode(known["f_n"], known["zeta"], {law.chain.states[0]: 1.0})] if whole else []
-    left = tuple(name for name in coefficients if name not in explained)
-    return PhysicalParameters(tuple(quantities), left, tuple(modes))
+    modes = (Mode(known["f_n"], known["zeta"], {law.chain.states[0]: 1.0}),) if whole else ()
+    left = tuple(name for name in coefficients if name not in (*(f.term for f in forces), driven))
+    return PhysicalParameters(tuple(quantities), left, modes)
 
 
 def first_order_parameters(
@@ -274,10 +261,8 @@ def _read(law: Law, draws: int, seed: int, span: tuple[float, float] | None) -> 
 
 def drawn_coefficients(law: Law, count: int, rng: np.random.Generator) -> tuple[Floats, dict[Expression, Floats]]:
     """Draws of the intercept of a law and of the coefficient of each included term, (count,) each."""
-    inputs = {name for term in law.terms for name in term.names} - set(law.chain.states)
-    alone = Dynamics.of([law], sorted(inputs))
-    constant, *columns = alone.draw(count, rng).T
-    return constant, dict(zip(alone.terms[0], columns, strict=True))
+    constant, *columns = normal_draws(*moments(law.posterior), count, rng).T
+    return constant, dict(zip(compress(law.terms, law.posterior.support), columns, strict=True))
 
 
 def _force(inputs: Sequence[str], coefficients: Mapping[str, Floats], force: str | None) -> str | None:
@@ -365,7 +350,7 @@ def system_parameters(
 
 
 def _names(law: Law) -> set[str]:
-    return {name for term, kept in zip(law.terms, law.posterior.support, strict=True) if kept for name in term.names}
+    return {name for term in compress(law.terms, law.posterior.support) for name in term.names}
 
 
 def _tangent(term: Expression, states: Sequence[str]) -> Floats | None:
@@ -455,11 +440,7 @@ def _known(values: Floats) -> bool:
 def _is_displaced(
     coefficients: Mapping[Expression, Floats], constant: bool, x: str, v: str, span: tuple[float, float]
 ) -> bool:
-    """Whether coefficients are about a position of rest: there is one, not at zero, or the spring is no polynomial.
-
-    Of the terms' coefficients only which terms there are counts; `constant` says whether the equation has one, and the
-    span is that of the samples of the displacement `x`.
-    """
+    """Whether there is a position of rest, other than zero within the span, or the spring is no polynomial."""
     alone = [term for term in coefficients if term.names == {x}]
     forced = any(abs(float(evaluate_terms([term], {x: np.zeros(1)})[0, 0])) > 0.0 for term in alone)
     bent = any(_powers(term.tree, x, v) is None and not any(jumps_of(term.tree)) for term in alone)

@@ -19,27 +19,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """A number with its uncertainty.
+    """A number with its uncertainty."""
 
-    Attributes
-    ----------
-    symbol, meaning : str
-        ``k3``, "cubic stiffness".
-    mean, sd : float
-        Of the draws.
-    low, high : float
-        95 % interval: their 2.5 % and 97.5 % quantiles.
-    unit : str or None
-        None where the units of the channels are not known; empty for a pure number.
-    """
-
-    symbol: str
-    meaning: str
-    mean: float
+    symbol: str  # "k3"
+    meaning: str  # "cubic stiffness"
+    mean: float  # of the draws
     sd: float
-    low: float
+    low: float  # 95 % interval: their 2.5 % and 97.5 % quantiles
     high: float
-    unit: str | None
+    unit: str | None  # None where the units of the channels are not known; empty for a pure number
 
     @property
     def cells(self) -> tuple[str, str, str, str]:
@@ -49,19 +37,11 @@ class Quantity:
 
 @dataclass(frozen=True, slots=True)
 class Mode:
-    """A mode of small motion.
+    """A mode of small motion."""
 
-    Attributes
-    ----------
-    frequency, damping_ratio : Quantity
-        The natural frequency [Hz], and the damping ratio.
-    shape : mapping of str to float
-        Displacements over that of the coordinate that moves most, by their names.
-    """
-
-    frequency: Quantity
+    frequency: Quantity  # the natural frequency [Hz]
     damping_ratio: Quantity
-    shape: Mapping[str, float]
+    shape: Mapping[str, float]  # displacements over that of the coordinate that moves most, by their names
 
 
 @dataclass(frozen=True, slots=True)

@@ -65,8 +65,6 @@ def _schema() -> dict[str, Any]:
 def first_fault(content: object) -> str | None:
     """The first thing in some JSON that the schema does not allow, with its place; None if there is none.
 
-    Examples
-    --------
     >>> first_fault({"method": 1})
     'data is missing'
     """
@@ -78,7 +76,6 @@ def _is_number(value: Any) -> bool:
 
 
 def _resolved(schema: Schema) -> Schema:
-    """What a schema refers to, if it does."""
     return _schema()["$defs"][schema["$ref"].removeprefix("#/$defs/")] if "$ref" in schema else schema
 
 
@@ -158,10 +155,7 @@ ALL_OR_NONE = ("averaged_coef", "averaged_sd", "averaged_ci95", "printed_ci95", 
 
 
 def check_content(content: Saved, chains: Sequence[Chain]) -> None:
-    """Check what the entries of a file, and the chains parsed from it, say of each other; the schema has been checked.
-
-    ValueError: the first thing that is wrong, and where.
-    """
+    """Check what valid entries, and chains parsed from them, say of each other; ValueError says what is wrong."""
     equations, posteriors, data = content["equations"], content["posteriors"], content["data"]
     for place, entries in (("equations", equations), ("posteriors", posteriors)):
         _require(len(entries) == len(chains), f"{place} has {len(entries)} entries, data.chains {len(chains)}")

@@ -64,34 +64,17 @@ LEAST_ROWS = 5.0
 
 @dataclass(frozen=True, eq=False)
 class PipCurve:
-    """Posterior inclusion probabilities (PIPs) by model averaging as one number varies.
+    """Posterior inclusion probabilities (PIPs) by model averaging as one number varies."""
 
-    Attributes
-    ----------
-    axis_name : str
-        What varies, as the column of the table is named: ``slab_variance`` (v_s), ``prior_inclusion`` (p_0) or
-        ``coarsen`` (the power of the likelihood).
-    names : tuple of str
-        The P candidate terms.
-    values : (K,) array
-        Its values, ascending.
-    pip : (K, P) array
-        PIPs at these values.
-    left_out : (K,) array
-        Posterior mass of models that were not listed, an estimate that errs upwards: a PIP is off by no more.
-    current : int
-        Index of the value that the equation was found with.
-    rows : (K,) array or None
-        Number of rows that the data count for, where it varies.
-    """
-
+    # what varies, as the column of the table is named: "slab_variance" (v_s), "prior_inclusion" (p_0) or "coarsen" (the
+    # power of the likelihood)
     axis_name: str
-    names: tuple[str, ...]
-    values: Floats
-    pip: Floats
-    left_out: Floats
-    current: int
-    rows: Floats | None = None
+    names: tuple[str, ...]  # the P candidate terms
+    values: Floats  # (K,), of what varies, ascending
+    pip: Floats  # (K, P), PIPs at these values
+    left_out: Floats  # (K,), mass of models not listed, an estimate that errs upwards: a PIP is off by no more
+    current: int  # place of the value that the equation was found with
+    rows: Floats | None = None  # (K,), number of rows that the data count for, where it varies
 
     @property
     def listed(self) -> Bools:
@@ -239,8 +222,6 @@ def prior_sensitivity(
 
     InputError: values out of range, or every term forced or forbidden.
 
-    Examples
-    --------
     >>> import numpy as np
     >>> from bayeq.inference.gram import Gram
     >>> rng = np.random.default_rng(1)
@@ -274,11 +255,7 @@ def prior_sensitivity(
 
 
 def power_sensitivity(gram: Gram, prior: Prior, powers: ArrayLike | None = None) -> PipCurve:
-    """PIPs by model averaging as the likelihood is raised to a power, so that each row counts for less.
-
-    See `Equation.coarsening`; `gram` is standardised. Miller and Dunson (2019) call this coarsening. InputError for
-    powers out of range.
-    """
+    """PIPs by model averaging as a standardised likelihood gets powers below 1: coarsening (Miller and Dunson 2019)."""
     values = _axis("powers", POWERS if powers is None else powers, 1.0, 1.0)
     values = values[(values == 1.0) | (values * gram.n >= LEAST_ROWS)]
     problems = (Problem.of(gram.raised(float(power)), prior) for power in values)
@@ -340,11 +317,7 @@ def common_inclusion(prior: Prior, terms: int) -> float:
 
 
 def with_inclusion(prior: Prior, terms: int, inclusion: float) -> Prior:
-    """The prior with another `common_inclusion`.
-
-    Terms keep their odds relative to each other, and forced and forbidden ones remain so; of p_0 ~ Beta(a, b) the mean
-    moves and a + b stays.
-    """
+    """The prior with another `common_inclusion`: terms keep their odds against each other, Beta(a, b) its a + b."""
     if prior.inclusion_beta is not None:
         weight = sum(prior.inclusion_beta)
         return replace(prior, inclusion_beta=(weight * inclusion, weight * (1.0 - inclusion)))

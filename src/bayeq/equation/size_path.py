@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayeq.arrays import Bools, Floats, Ints
-from bayeq.errors import in_digits
 from bayeq.figures.style import BLACK, BLUE, ORANGE, PALE, RED, labelled, log_ticks, new_panels, picture, term_label
+from bayeq.forecast.score import percent
 from bayeq.inference.collapsed.path import DEFAULT_MOST, best_of_each_size, model_log_posterior, partial_shares
 from bayeq.inference.collapsed.slab import exact_posterior
 from bayeq.inference.gram import Gram
@@ -95,8 +95,7 @@ class ParsimonyPath:
     @property
     def is_chosen(self) -> Bools:
         """Which of the models is the equation, (K,); none if it is off the path."""
-        same: Bools = (self.models == self.chosen).all(axis=1)
-        return same
+        return np.asarray((self.models == self.chosen).all(axis=1))
 
     @property
     def steps(self) -> list[Step]:
@@ -172,11 +171,6 @@ class ParsimonyPath:
         return "\n".join(lines)
 
 
-def percent(share: float) -> str:
-    """A share of variance as a percentage of two significant digits."""
-    return f"{in_digits(100.0 * share)} %"
-
-
 def _error(r2: float) -> str:
     if np.isnan(r2):
         return " " * 9
@@ -186,15 +180,12 @@ def _error(r2: float) -> str:
 
 
 def parsimony_path(fit: RegressionFit, shown: Bools, most: int | None = None) -> ParsimonyPath:
-    """The path of a regression, about the equation of the terms shown, (P,); see `Equation.path`.
-
-    InputError if `most` is less than the number of forced terms.
-    """
+    """The path of a regression about the terms shown, (P,); see `Equation.path`. InputError if `most` is too small."""
     regression, standard, problem = fit.regression, fit.standard, fit.problem
     limits = fit.prior.limits
     # equalities between coefficients have taken terms, and with them a part of the target, to the left-hand side
     chosen = shown[fit.constraints.equalities.kept]
-    held_out = None if regression.held_out is None else fit.constraints.reduce(regression.held_out)
+    held_out = None if regression.held_out is None else fit.constraints.equalities.reduce(regression.held_out)
     if most is None:
         most = max(DEFAULT_MOST, int(chosen.sum()) + BEYOND)
     found = best_of_each_size(problem, most, [chosen], limits)

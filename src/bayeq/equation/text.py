@@ -14,11 +14,10 @@ from rich.table import Table
 
 from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation
-from bayeq.equation.size_path import percent
 from bayeq.equation.verdict import LEAST_SHOWN
 from bayeq.equation.written import moment, odds_text, plain_sd, round_to, with_interval
 from bayeq.errors import in_digits, printable
-from bayeq.forecast.score import Scores, percentages
+from bayeq.forecast.score import Scores, percent, percentages
 from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
 from bayeq.markup import printed, text_console
 from bayeq.states import rates
@@ -59,10 +58,7 @@ def escape(text: str) -> str:
 
 
 def render(eq: Answer, with_warnings: bool = True, conditional: bool = False) -> str:
-    """Text of the equations: styled if standard output is a terminal, plain Markdown otherwise.
-
-    With `conditional`, every interval is that given the terms shown.
-    """
+    """The equations, styled on a terminal, else Markdown; with `conditional` intervals are given the terms shown."""
     console = text_console(WIDE)
     console.print(f"verdict: {escape(str(eq.verdict))}\n")
     for equation in eq.equations:
@@ -291,7 +287,7 @@ def left_beside_noise(equation: Equation) -> str | None:
     share = equation.residuals.discrepancy if equation.error_share is None else equation.error_share
     if share is None:
         return None
-    return percentages({"": share}).strip() if share > LEAST_SHOWN else f"less than {100 * LEAST_SHOWN:g} %"
+    return percent(share) if share > LEAST_SHOWN else f"less than {100 * LEAST_SHOWN:g} %"
 
 
 def _chance(p: float) -> str:
@@ -322,10 +318,7 @@ class Row:
 
 
 def rows_of(equation: Equation, conditional: bool = False) -> list[Row]:
-    """Terms that are shown, included or likely, constants inside those shown, and last the intercept.
-
-    Intervals are those that are printed; with `conditional` all are given the terms shown.
-    """
+    """Terms shown, included or likely, constants, intercept; with `conditional` intervals are given the terms shown."""
     p, shown, rows = equation.posterior, equation.shown_posterior, list[Row]()
     intervals = equation.shown_ci95 if conditional else equation.printed_ci95
     for j, term in enumerate(() if equation.chain.stated else equation.terms):  # a law that was stated is all in
@@ -360,8 +353,6 @@ def short_names(texts: Sequence[str], longest: int) -> dict[str, str]:
 
     Beginning and end are kept. Names that would look alike are shortened less.
 
-    Examples
-    --------
     >>> short_names(["x", "displacement_of_mass_1**3", "displacement_of_mass_2"], 12)
     {'displacement_of_mass_1': 'displa…ass_1', 'displacement_of_mass_2': 'displa…ass_2'}
     """
@@ -380,8 +371,6 @@ def short_names(texts: Sequence[str], longest: int) -> dict[str, str]:
 def with_names(text: str, names: Mapping[str, str]) -> str:
     """A term with some of its names replaced.
 
-    Examples
-    --------
     >>> with_names("displacement**3*dis", {"displacement": "dis…ent"})
     'dis…ent**3*dis'
     """

@@ -127,7 +127,6 @@ def _constant(equation: Equation, one: ConstantEstimate) -> dict[str, Any]:
 
 
 def _terms(equation: Equation) -> list[dict[str, Any]]:
-    """An object for each candidate."""
     p, shown, names = equation.posterior, equation.shown_posterior, [term.text for term in equation.terms]
     columns: dict[str, Any] = {
         "name": names,
@@ -204,11 +203,11 @@ def to_saved(eq: Answer) -> dict[str, Any]:
 
 def _saved_posterior(equation: Equation) -> dict[str, Any]:
     p, shown = equation.posterior, equation.shown_posterior
-    average, details = p.average, p.details
+    average, details, members = p.average, p.details, np.flatnonzero(shown.support)
+    given = {"terms": members.tolist(), "coef": shown.coef[members].tolist(), **_given_terms(shown)}
     return {
-        "covariance": p.covariance.tolist(),
         # beside the coefficients of the terms shown; None where these are the included ones
-        "shown": None if shown is p else _saved_model(shown),
+        "shown": None if shown is p else given,
         **_given_terms(p),
         "n": p.n,
         **_attributes(details, "n_iter", "elbo_trace"),
@@ -222,19 +221,10 @@ def _saved_posterior(equation: Equation) -> dict[str, Any]:
     }
 
 
-def _saved_model(p: Posterior) -> dict[str, Any]:
-    """A posterior given a model, without what all models of the equation have in common."""
-    return {
-        "terms": np.flatnonzero(p.support).tolist(),
-        "coef": p.coef[p.support].tolist(),
-        "covariance": p.covariance.tolist(),
-        **_given_terms(p),
-    }
-
-
 def _given_terms(p: Posterior) -> dict[str, Any]:
-    """Of a posterior given its terms, beside the coefficients and their covariance."""
+    """Of a posterior given its terms, beside the coefficients."""
     return {
+        "covariance": p.covariance.tolist(),
         "noise_variance": p.noise_variance,
         "center": p.constant.center.tolist(),
         "target_mean": p.constant.mean,

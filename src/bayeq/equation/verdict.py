@@ -19,9 +19,9 @@ from bayeq.expressions.implicit import multiplied
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import correlation_time, typical_period, window_runs
 from bayeq.forecast.rows import divided, rows_of
-from bayeq.forecast.score import percentages
+from bayeq.forecast.score import percent
 from bayeq.likelihood.adequacy import Change, Discrepancy, Octave
-from bayeq.likelihood.gains import Suspect
+from bayeq.likelihood.channels import Suspect
 from bayeq.numerics.settings import EQUATION, LIKELIHOOD
 from bayeq.regression.regression import Regression
 from bayeq.regression.residuals import Fit
@@ -157,7 +157,7 @@ def doubted(
             f" probability, the likeliest {' and '.join(change) or 'with another constant'}",
             LONGER,
         )
-    unexplained = f"{percentages({'': share}).strip()} of {target} is not explained by these terms"
+    unexplained = f"{percent(share)} of {target} is not explained by these terms"
     # most of what is not explained, by a coefficient that keeps its sign: others may make up for a missing term
     if changing is not None and changing.share > share * math.sqrt(0.5) and not changing.reverses:
         return _changing(changing)
@@ -212,6 +212,8 @@ def suspecting(verdict: Verdict, found: Suspect, seconds: float) -> Verdict:
             f"--band {1.0 / seconds:.1g}:{in_digits(size, 3)} allows for that",
         ),
     }[found.off]
+    if verdict.kind == "none":
+        return replace(verdict, advice=f"{off}: {remedy}")
     advice = f"{CAREFUL}: {off}: {remedy}"
     if verdict.kind == "found":
         return Verdict("nearly true", f"other channels contradict {name}", advice)
@@ -259,7 +261,7 @@ def alike(dynamics: Dynamics, motion: Motion) -> tuple[str, ...]:
     A holds what equations multiply highest derivatives of each other by (`bayeq.expressions.implicit`). The determinant
     depends on no unit, and its error is that of the entries times their cofactors.
     """
-    targets = [chain.target for chain in dynamics.chains]
+    targets = dynamics.roles.targets
     coupled = [
         (c, *part, coef, sd)
         for c, (law, members) in enumerate(zip(dynamics.laws, dynamics.terms, strict=True))
@@ -294,10 +296,7 @@ def alike(dynamics: Dynamics, motion: Motion) -> tuple[str, ...]:
 
 
 def noise_share(regression: Regression, variance: float) -> float:
-    """Share of a target's variance that is noise, where the smoother has learned it; else 0.
-
-    Of an estimated target it is the posterior variance of the estimate, more than what a filter of both sides leaves.
-    """
+    """Share of a target's variance that is noise, or error of its estimate, where a smoother has learned it; else 0."""
     motion, target = regression.motion, regression.chain.target
     own = motion.estimated_by(regression.k)
     error = state_noise(motion).get(target, 0.0) ** 2 if own is None else own.target_variance
@@ -333,18 +332,17 @@ def window_errors(dynamics: Dynamics, motion: Motion) -> Sequence[tuple[float, s
     train, held_out = divided(motion, whole)
     for part in (held_out, train):
         pieces = [rows for rows in part if rows.n > 1]
-        if pieces:
-            windows = window_runs(dynamics, pieces, min(period, shorter), unit=unit)
-            if windows:
-                length = "one correlation time" if shorter < period else "one period"
-                errors = _errors_by_chain(dynamics, windows)
-                return [None if error is None else (error, length) for error in errors]
+        windows = window_runs(dynamics, pieces, min(period, shorter), unit=unit) if pieces else []
+        if windows:
+            length = "one correlation time" if shorter < period else "one period"
+            errors = _errors_by_chain(dynamics, windows)
+            return [None if error is None else (error, length) for error in errors]
     return none
 
 
 def _errors_by_chain(dynamics: Dynamics, windows: Sequence[tuple[Floats, Floats]]) -> list[float | None]:
     out, first = list[float | None](), 0
-    for chain in dynamics.chains:
+    for chain in dynamics.roles.chains:
         if chain.static:
             out.append(None)
             continue

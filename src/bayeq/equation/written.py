@@ -75,8 +75,6 @@ def quotient_unit(target: str, term: Expression, units: Mapping[str, str]) -> st
 
     None where the unit of the target or of a channel in the term is not known.
 
-    Examples
-    --------
     >>> from bayeq.expressions import parse
     >>> units = {"x": "mm", "v": "m/s", "a": "m/s2", "u": "N"}
     >>> [quotient_unit("a", parse(t), units) for t in ("x", "v", "x**3", "v*abs(v)", "sign(v)", "u")]
@@ -93,8 +91,6 @@ def constant_units(terms: Sequence[Expression], units: Mapping[str, str]) -> dic
 
     Those of a product that is no argument of a function are left out, as are exponents.
 
-    Examples
-    --------
     >>> from bayeq.expressions import parse
     >>> constant_units([parse("tanh(v/{v0})"), parse("exp(-{a}*t)")], {"v": "m/s", "t": "s"})
     {'v0': 'm/s', 'a': '1/s'}
@@ -117,8 +113,6 @@ def constant_units(terms: Sequence[Expression], units: Mapping[str, str]) -> dic
 def in_radians(term: Expression, units: Mapping[str, str]) -> Expression:
     """The term with sines, cosines and tangents of degrees written as those of radians.
 
-    Examples
-    --------
     >>> from bayeq.expressions import parse
     >>> in_radians(parse("v*sin(th)"), {"th": "deg", "v": "deg/s"}).text
     'v*sin(pi*th/180)'
@@ -242,17 +236,15 @@ class OscillatorUnits:
 
     def scale_force(self) -> float:
         """Of the coefficient of the force."""
-        return self.per_length / (self.acceleration * self.per_force)
+        return self.scale((0, 0)) / self.per_force
 
     def displacement(self) -> str | None:
         """Unit of the displacement; None where it is not known."""
         return None if self.length is None else _written(self.length)
 
     def mass(self) -> str | None:
-        """Unit of the mass; None where it is not known."""
-        if self.length is None or self.force is None:
-            return None
-        return _written(multiply_units(multiply_units(dict(self.force), self.length, -1), {"s": Fraction(2)}))
+        """Unit of the mass, a force by acceleration; None where it is not known."""
+        return self.unit((-1, 2), with_mass=True)
 
     def unit(self, powers: tuple[int, int], with_mass: bool) -> str | None:
         """Unit of the parameter of x**p v**q, as a force or per unit of mass; None where it is not known."""
@@ -357,8 +349,6 @@ def with_interval(value: float, sd: float, interval: Sequence[float]) -> tuple[s
 def odds_text(log_odds: float) -> str:
     """Odds from their logarithm: against, or for.
 
-    Examples
-    --------
     >>> odds_text(-2.0), odds_text(3.0), odds_text(-280.0)
     ('1:7.4', '20:1', '1:4e+121')
     """

@@ -17,8 +17,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 
 from bayeq.arrays import Floats
 from bayeq.errors import DataWarning, InputError
-from bayeq.inference.gram import Gram, GramLike, checked_weights, grams_from_data
-from bayeq.inference.lazy_gram import LazyGram, grams_of
+from bayeq.inference.gram import Gram, GramLike, LazyGram, checked_weights, grams_from_data, grams_of
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
 

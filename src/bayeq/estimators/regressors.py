@@ -24,8 +24,7 @@ from bayeq.estimators.base import SparseRegressor, SpikeSlabRegressor
 from bayeq.inference.bma import sample_average, spike_slab_bma
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.gibbs import spike_slab_gibbs
-from bayeq.inference.gram import Gram, GramLike
-from bayeq.inference.lazy_gram import LazyGram
+from bayeq.inference.gram import Gram, GramLike, LazyGram
 from bayeq.inference.posterior import Draws, Posterior
 from bayeq.inference.prior import Prior
 from bayeq.inference.rvm import rvm

@@ -72,10 +72,7 @@ class Evaluator:
         self._shape = next(iter(shapes), ())
 
     def __call__(self, expression: Expression) -> Floats:
-        """Values of the expression, of the columns' shape (``()`` if there are only floats); read-only.
-
-        UnknownNameError: if the expression uses a name that is not a column.
-        """
+        """Values in the shape of the columns, read-only; UnknownNameError for a name that is no column."""
         with np.errstate(all="ignore"):
             value = self._value(expression.tree)
         if isinstance(value, np.float64):
@@ -84,42 +81,37 @@ class Evaluator:
         return value
 
     def _value(self, node: Node) -> Floats | np.float64:
-        value = self._memo.get(node)
-        if value is None:
-            value = self._memo[node] = self._compute(node)
-        return value
+        if node not in self._memo:
+            self._memo[node] = self._compute(node)
+        return self._memo[node]
 
     def _compute(self, node: Node) -> Floats | np.float64:
-        result: Floats | np.float64
-        if isinstance(node, Binary):
-            if node.op == "**":
-                return self._power(node.left, self._value(node.right))
-            if node.op in COMPARISONS:
-                return COMPARISONS[node.op].numpy(self._value(node.left), self._value(node.right)) * np.float64(1.0)
-            result = ARITHMETIC[node.op](self._value(node.left), self._value(node.right))
-            return result
-        if isinstance(node, Call):
-            result = FUNCTIONS[node.function].numpy(*map(self._value, node.arguments))
-            return result
-        if isinstance(node, Negate):
-            return -self._value(node.operand)
-        if isinstance(node, Number | Unknown):
-            return np.float64(node.value)
-        if isinstance(node, Constant):
-            return np.float64(CONSTANTS[node.name])
-        raise UnknownNameError("channel", node.name, self._names)
+        match node:
+            case Number(value) | Unknown(value=value):
+                return np.float64(value)
+            case Constant(name):
+                return np.float64(CONSTANTS[name])
+            case Symbol(name):
+                raise UnknownNameError("channel", name, self._names)
+            case Negate(operand):
+                return -self._value(operand)
+            case Call(function, arguments):
+                return FUNCTIONS[function].numpy(*map(self._value, arguments))
+            case Binary("**", left, right):
+                return self._power(left, self._value(right))
+            case Binary(op, left, right) if op in COMPARISONS:
+                return COMPARISONS[op].numpy(self._value(left), self._value(right)) * np.float64(1.0)
+            case Binary(op, left, right):
+                return ARITHMETIC[op](self._value(left), self._value(right))
 
     def _power(self, base: Node, exponent: Floats | np.float64) -> Floats | np.float64:
         value = self._value(base)
         if not isinstance(exponent, np.float64) or not exponent.is_integer() or abs(exponent) > MAX_INTEGER_POWER:
-            result: Floats | np.float64 = np.power(value, exponent)
-            return result
+            return np.power(value, exponent)
         k = int(exponent)
         if k == 0:
             return np.float64(1.0)
-        powers = self._powers.get(base)
-        if powers is None:
-            powers = self._powers[base] = [value]
+        powers = self._powers.setdefault(base, [value])
         while len(powers) < abs(k):
             powers.append(powers[-1] * value)
         return powers[k - 1] if k > 0 else np.float64(1.0) / powers[-k - 1]
@@ -233,10 +225,7 @@ class Tape:
 
     @classmethod
     def compile(cls, expressions: Iterable[Expression], variables: Sequence[str]) -> Tape:
-        """Compile expressions in the given variables; common sub-expressions are computed once.
-
-        UnknownNameError: if an expression uses a name that is not a variable.
-        """
+        """Compile expressions in some variables, common parts once; UnknownNameError for a name that is none."""
         compiler = _Compiler(variables)
         with np.errstate(all="ignore"):
             outputs = [compiler.register(e.tree) for e in expressions]
@@ -277,7 +266,6 @@ class _Compiler:
         self.known: dict[tuple[int, int, int], int] = {}
 
     def register(self, node: Node) -> int:
-        """The register that holds the value of a node."""
         match node:
             case Number(value) | Unknown(value=value):
                 return self.constant(np.float64(value))
@@ -297,7 +285,6 @@ class _Compiler:
                 return self.emit(_OPCODES[op], self.register(left), self.register(right))
 
     def call(self, function: str, arguments: Sequence[Node]) -> int:
-        """The register that holds the value of a function."""
         row = FUNCTIONS[function]
         if row.definition:
             return self.register(substituted(template(row.definition), arguments))

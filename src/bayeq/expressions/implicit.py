@@ -18,9 +18,7 @@ _ZERO, _ONE = Number(0), Number(1)
 
 
 def multiplied(term: Expression, targets: Sequence[str]) -> tuple[int, Expression] | None:
-    """The highest derivative that is a factor of a term, and the rest; None of a term without any.
-
-    ValueError: a term that is not proportional to one highest derivative.
+    """The highest derivative that a term is proportional to, and the rest; None without any, ValueError if otherwise.
 
     Examples
     --------
@@ -101,10 +99,7 @@ def inverse(A: Sequence[Sequence[Node]]) -> list[list[Node]]:
 def solved(
     equations: Sequence[Sequence[tuple[Node, Expression]]], targets: Sequence[str]
 ) -> tuple[list[Node], list[list[Node]]]:
-    """The highest derivatives of equations, (I - A)^-1 b, and (I - A)^-1.
-
-    An equation is the coefficients and the terms that it sums; targets are the names of the highest derivatives.
-    """
+    """The highest derivatives (I - A)^-1 b of equations, each its coefficients and terms, and (I - A)^-1."""
     b: list[list[Node]] = [[] for _ in targets]
     A: list[list[list[Node]]] = [[[] for _ in targets] for _ in targets]
     for c, summed in enumerate(equations):

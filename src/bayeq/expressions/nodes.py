@@ -108,12 +108,6 @@ class Call(_Node):
     arguments: tuple[Node, ...]
 
 
-def argument_count(least: int, most: int | None) -> str:
-    """How many arguments a function takes, in words."""
-    words = {1: "one argument", 2: "two arguments", 3: "three arguments"}
-    return f"exactly {words[least]}" if most == least else f"{words[least]} or more"
-
-
 Node: TypeAlias = Number | Constant | Symbol | Unknown | Negate | Binary | Call
 
 
@@ -191,11 +185,7 @@ def unknowns_of(node: Node) -> Iterator[Unknown]:
 
 def jumps_of(node: Node) -> Iterator[Call]:
     """The jumps in a term, as signs and floors of what they happen in."""
-    jump = jump_of(node)
-    if jump is not None:
-        yield jump
-    for part in arguments_of(node):
-        yield from jumps_of(part)
+    return (jump for one in nodes_of(node) if (jump := jump_of(one)) is not None)
 
 
 def jump_of(node: Node) -> Call | None:

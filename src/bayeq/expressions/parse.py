@@ -1,8 +1,4 @@
-"""``parse``: the text of a term becomes a tree, and nothing else can happen.
-
-The text is divided into tokens, and these are parsed by precedence. Terms come from files and command lines: nothing
-here evaluates, imports or looks up anything.
-"""
+"""``parse``: the text of a term, perhaps a stranger's, becomes a tree; nothing is evaluated, imported or looked up."""
 
 from __future__ import annotations
 
@@ -28,7 +24,6 @@ from bayeq.expressions.nodes import (
     Number,
     Symbol,
     Unknown,
-    argument_count,
     arguments_of,
     is_comparison,
     replaced,
@@ -167,7 +162,6 @@ class _Parser:
         return node
 
     def whole(self) -> Node:
-        """The tree of the whole text."""
         node = self.value()
         if self.next.kind != "end":
             raise self.error(self.misplaced())
@@ -291,7 +285,8 @@ class _Parser:
             self.close(opened)
         least, most = (1, 1) if function == SQUARE else FUNCTIONS[function].arguments
         if not least <= len(arguments) <= (most or len(arguments)):
-            takes = argument_count(least, most)
+            words = {1: "one argument", 2: "two arguments", 3: "three arguments"}
+            takes = f"exactly {words[least]}" if most == least else f"{words[least]} or more"
             raise self.error(f"{name.text} takes {takes}, not {len(arguments)}, at column {name.column}")
         if function == SQUARE:
             return self.made(Binary("**", arguments[0], self.made(Number(2))))

@@ -11,8 +11,7 @@ from bayeq.expressions.functions import COMPARISONS, FUNCTIONS
 from bayeq.expressions.nodes import Binary, Call, Constant, Expression, Negate, Node, Number, Symbol, Unknown
 from bayeq.expressions.parse import substituted, template
 
-# SymPy computes powers of numbers exactly, 9**9**9 with all its digits. Numbers that do not fit into a float
-# are computed in floating point instead, as they are everywhere else.
+# SymPy computes 9**9**9 with all its digits: numbers that do not fit into a float are computed in floating point.
 _MAX_BITS = 1024
 _LARGE_POWER = 64
 
@@ -117,10 +116,9 @@ _INVISIBLE_TIMES = '<mo rspace="0.17em">&#x2062;</mo>'
 
 
 def mathml(expression: Expression, names: Mapping[str, str] | None = None, factor: bool = False) -> str:
-    """The expression in presentation MathML, one ``mrow``.
+    """The expression in presentation MathML, one ``mrow``; a `factor` behind a coefficient has brackets where it must.
 
-    `names` has MathML of symbols that are not to be written by their names, such as ``symbol_mathml("x", dots=1)`` of
-    v. A `factor` stands behind a coefficient, and gets brackets where it must.
+    `names` has MathML of symbols that are not written by their names, such as ``symbol_mathml("x", dots=1)`` of v.
 
     Examples
     --------

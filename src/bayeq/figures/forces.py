@@ -5,14 +5,15 @@ With unit mass, x'' + f(x, x') = what drives the motion: f is the driving terms 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
+from itertools import compress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayeq.arrays import Floats
+from bayeq.arrays import Bools, Floats
+from bayeq.dictionary import evaluate_terms
 from bayeq.errors import InputError
-from bayeq.expressions import Evaluator
 from bayeq.figures import style
 from bayeq.figures.runs import BAND
 from bayeq.numerics.distributions import Z95
@@ -42,45 +43,26 @@ def _second_order(equation: style.EquationLike) -> tuple[str, str]:
 
 
 def _measured(equation: style.EquationLike, rows: MotionRows, of: Iterable[str]) -> Floats:
-    """Restoring force per unit mass of the variables `of` at each row, (n,).
-
-    It is the terms of other variables less the acceleration as it was measured.
-    """
-    p, evaluate, own = equation.shown_posterior, Evaluator(rows.columns), _own(equation, of)
-    others = np.zeros(rows.n)
-    for j in np.flatnonzero(p.support):
-        if j not in own:
-            others = others + p.coef[j] * evaluate(equation.terms[j])
-    return np.asarray(others - rows.observed[equation.target], dtype=np.float64)
+    """Restoring force per mass of the variables `of` at each row, (n,): other terms less the measured acceleration."""
+    p = equation.shown_posterior
+    others = p.support & ~_own(equation, of)
+    D = evaluate_terms([*compress(equation.terms, others)], rows.columns)
+    return np.asarray(D @ p.coef[others] - rows.observed[equation.target])
 
 
 def _discovered(equation: style.EquationLike, columns: Mapping[str, Floats]) -> tuple[Floats, Floats]:
-    """The restoring force that the equation has found, and its standard deviation, at columns of its variables, (n,).
-
-    The intercept is in it.
-    """
-    own = _own(equation, columns)
-    evaluate = Evaluator(columns)
-    p = equation.shown_posterior
-    n = np.broadcast_shapes(*(np.shape(values) for values in columns.values()))
-    kept = np.flatnonzero(p.support).tolist()
+    """The force that the equation has found, its intercept in it, and its standard deviation at n places, (n,) each."""
+    p, own = equation.shown_posterior, _own(equation, columns)
+    D = evaluate_terms([*compress(equation.terms, own)], columns)
     # terms of other variables stay at their means
-    Z = np.zeros((int(np.prod(n)), len(kept)))
-    force = np.full(n, -p.intercept)
-    for k, j in enumerate(kept):
-        if j in own:
-            values = np.broadcast_to(np.asarray(evaluate(equation.terms[j]), dtype=np.float64), n)
-            force = force - p.coef[j] * values
-            Z[:, k] = values.ravel() - p.constant.center[j]
-    variance = np.einsum("ij,jk,ik->i", Z, p.covariance, Z)
-    return force, np.sqrt(np.maximum(variance, 0.0)).reshape(n)
+    Z, inside = D - p.constant.center[own], own[p.support]
+    variance = np.einsum("ij,jk,ik->i", Z, p.covariance[np.ix_(inside, inside)], Z)
+    return -p.intercept - D @ p.coef[own], np.sqrt(np.maximum(variance, 0.0))
 
 
-def _own(equation: style.EquationLike, of: Iterable[str]) -> Sequence[int]:
-    """Terms shown that use these variables alone."""
-    variables = set(of)
-    kept = np.flatnonzero(equation.shown_posterior.support).tolist()
-    return [j for j in kept if set(equation.terms[j].names) <= variables]
+def _own(equation: style.EquationLike, of: Iterable[str]) -> Bools:
+    """Terms shown that use these variables alone, (P,)."""
+    return equation.shown_posterior.support & [term.names <= set(of) for term in equation.terms]
 
 
 @style.picture
@@ -186,13 +168,14 @@ def restoring_force_surface(eq: style.Answer, record: Record, ax: Any = None, *,
     x, v = (rows.columns[name] for name in names)
     force = _measured(equation, rows, names)
     grid_x, grid_v = _ellipse(x, v)
-    surface, _ = _discovered(equation, {names[0]: grid_x, names[1]: grid_v})
+    surface, _ = _discovered(equation, {names[0]: grid_x.ravel(), names[1]: grid_v.ravel()})
     if ax is None:
         ax = style.new_figure(style.SINGLE_COLUMN, 78.0).add_axes((0.11, 0.05, 0.87, 0.9), projection="3d")
         ax.set_box_aspect((1.0, 1.0, 0.75), zoom=1.0)
     every = style.thinned(rows.n, POINTS)
     look: dict[str, Any] = {"color": style.BLUE, "alpha": 0.4, "linewidth": 0.15, "edgecolor": style.BLUE}
-    ax.plot_surface(grid_x, grid_v, surface, rcount=RINGS, ccount=RAYS, label="discovered", **look, antialiased=True)
+    shape: dict[str, Any] = {"rcount": RINGS, "ccount": RAYS, "label": "discovered", "antialiased": True}
+    ax.plot_surface(grid_x, grid_v, surface.reshape(grid_x.shape), **shape, **look)
     dots: dict[str, Any] = {"s": 2.2, "color": style.BLACK, "alpha": 0.6, "linewidths": 0, "rasterized": True}
     ax.scatter(x[every], v[every], force[every], label=style.given_as(eq, equation.target), depthshade=False, **dots)
     ax.set_xlabel(style.label_of(names[0], equation.units), labelpad=-2)

@@ -11,6 +11,7 @@ from bayeq.errors import InputError
 from bayeq.figures import style
 from bayeq.figures.runs import DRAWN, MEASURED
 from bayeq.records import Record
+from bayeq.states.sensors import bridged
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -46,15 +47,6 @@ def _whole_run(eq: style.Answer, record: Record, channel: str | None, what: str)
     if float(np.abs(steps - step).max()) > 1e-3 * step:  # even to a thousandth
         raise InputError(f"{where}: a spectrum needs even sampling; resample the record first")
     return run, name, 1.0 / step
-
-
-def _filled(values: Floats) -> Floats:
-    """Missing samples bridged by straight lines."""
-    there = np.isfinite(values)
-    if there.all():
-        return values
-    at = np.arange(len(values))
-    return np.interp(at, at[there], values[there])
 
 
 def _cross_spectrum(x: Floats, y: Floats, fs: float, segments: int = SEGMENTS) -> tuple[Floats, Complexes]:
@@ -99,7 +91,7 @@ def spectra(eq: style.Answer, record: Record, ax: Any = None, *, channel: str | 
         matplotlib is not installed.
     """
     run, name, fs = _whole_run(eq, record, channel, "spectrum")
-    measured, simulated = _filled(run.measured[name]), run.mean[name]
+    measured, simulated = bridged(run.measured[name]), run.mean[name]
     (ax,) = style.axes_for(ax, [70.0], style.SINGLE_COLUMN)
     curves = (
         (measured, MEASURED),
@@ -165,14 +157,14 @@ def frequency_response(
     run, name, fs = _whole_run(eq, record, channel, "frequency response")
     rows = eq.motion(record)
     times = run.time if rows.time is None else rows.time
-    u = np.interp(run.time, times, _filled(rows.samples[source]))
+    u = np.interp(run.time, times, bridged(rows.samples[source]))
     count = max(LEAST_SEGMENTS, int(np.sqrt(len(u) / ROWS_PER_SEGMENT)))
     f, power = _cross_spectrum(u, u, fs, count)
     driven = power.real >= DRIVEN * power.real.max()
     heights = [52.0, 32.0] if ax is not None else [48.0, 28.0, 22.0]
     upper, lower, *third = style.axes_for(ax, heights, style.FULL_WIDTH, sharex=True)
     looks: tuple[dict[str, Any], ...] = (MEASURED, {**DRAWN, "label": "free run"})
-    for values, look in zip((_filled(run.measured[name]), run.mean[name]), looks, strict=True):
+    for values, look in zip((bridged(run.measured[name]), run.mean[name]), looks, strict=True):
         cross = _cross_spectrum(u, values, fs, count)[1]
         coherence = np.abs(cross) ** 2 / (power.real * _cross_spectrum(values, values, fs, count)[1].real)
         for one in third:

@@ -35,10 +35,7 @@ LAST = 0.2
 
 
 def _compare(ax: Axes, time: Floats, measured: Floats | None, curve: Curve, label: str, of: str = "measured") -> None:
-    """A curve with its band over what was measured, or estimated.
-
-    Limits are those of what was measured, where there is any, for a run may go far away.
-    """
+    """A curve with its band over what was measured, or estimated, which sets the limits: a run may go far away."""
     every = style.thinned(len(time))
     known = curve[0] if measured is None else measured
     known = known[np.isfinite(known)]
@@ -99,9 +96,7 @@ def draw_states(axes: Sequence[Axes], run: style.Run) -> None:
 
 @style.picture
 def draw_forecasts(runs: Sequence[tuple[str, style.Run]], time: str = "time [s]") -> Figure:
-    """Free runs under each other, with their titles, which may be empty, and a label of their time; a panel for each
-    state, as wide as a journal's page.
-    """
+    """Free runs under each other, with titles, which may be empty, and a label of time; a panel for each state."""
     heights = [height for _, run in runs for name in run.mean for height in LOW[: 1 + (name in run.measured)]]
     titles = sum(bool(title) for title, _ in runs)
     whole = 7.0 + sum(heights) + 8.0 * len(runs) + 6.0 * titles

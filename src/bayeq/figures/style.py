@@ -99,10 +99,7 @@ def require_matplotlib() -> None:
 
 @contextmanager
 def style() -> Iterator[None]:
-    """The settings under which a figure is made and written; the caller's own are left as they were.
-
-    MissingExtraError without matplotlib.
-    """
+    """The settings under which a figure is made and written; the caller's own are left as they were."""
     require_matplotlib()
     import matplotlib
 
@@ -132,7 +129,6 @@ def picture(draw: Callable[P, T]) -> Callable[P, T]:
 
 def new_figure(width: float, height: float, *, pyplot: bool = False, **options: Any) -> Figure:
     """An empty figure, of a size in mm; one of pyplot's is shown by notebooks."""
-    require_matplotlib()
     size = (width / MM_PER_INCH, height / MM_PER_INCH)
     if pyplot:
         from matplotlib.pyplot import figure
@@ -171,10 +167,7 @@ def log_ticks(axis: Axis, text: Callable[[float], str] = "{:g}".format) -> None:
 
 
 def save(figure: Figure, stem: Path) -> list[Path]:
-    """Write a figure as PNG (300 dpi) and SVG, without dates, and return the paths; call it inside `style`.
-
-    The stem is the path without suffix; folders are made where missing. InputError if the files cannot be written.
-    """
+    """Write a figure as PNG (300 dpi) and SVG, to a path without suffix, within `style`; InputError if that fails."""
     paths = []
     try:
         stem.parent.mkdir(parents=True, exist_ok=True)
@@ -195,10 +188,7 @@ def _write(figure: Figure, path: Path) -> None:
 
 
 def require_suffix(file: Path) -> None:
-    """Check that `write_output` can make such a file, before anything is computed for it.
-
-    InputError for a suffix that is not known, MissingExtraError where matplotlib is needed and not installed.
-    """
+    """Check that `write_output` can make such a file: InputError, or MissingExtraError where matplotlib is missing."""
     if file.suffix.lower() not in TABLE_OR_FIGURE:
         raise InputError(f"{file}: is to be written as a table or a figure: end it in {', '.join(TABLE_OR_FIGURE)}")
     if file.suffix.lower() != ".csv":
@@ -206,11 +196,7 @@ def require_suffix(file: Path) -> None:
 
 
 def write_output(file: Path, table: Callable[[], pd.DataFrame], figure: Callable[[], Figure]) -> None:
-    """Write the table (.csv), or the figure in the style of the reports; only that one is made. The suffix has been
-    checked.
-
-    The file is replaced whole, or not at all.
-    """
+    """Write the table (.csv), or the figure in the style of the reports, whole or not at all; only that one is made."""
     if file.suffix.lower() == ".csv":
         made = table()
         with replacing(file) as part:
@@ -237,8 +223,6 @@ def mathtext(expression: str, order: tuple[str, ...] = ()) -> str:
 
     Factors stand in the order of these names; otherwise alphabetical.
 
-    Examples
-    --------
     >>> print(mathtext("x**2*v", order=("x", "v")), mathtext("v*abs(x)"), mathtext("sign(v)"), mathtext("-cF/m"))
     $x^{2} v$ $v\,|x|$ $\mathrm{sgn}(v)$ $-c_{F}/m$
     """
@@ -306,10 +290,7 @@ def named(kind: str, name: str | None, known: Collection[str]) -> str:
 
 
 def channel_of(run: Run, channel: str | None) -> str:
-    """A state of a free run that is measured, by default the first.
-
-    InputError if no state is measured, UnknownNameError if this one is not.
-    """
+    """A measured state of a free run, by default the first; InputError where none is, UnknownNameError of another."""
     if not run.measured:
         raise InputError("no state of the equations is measured: there is nothing to compare the free run with")
     return named("measured state", channel, run.measured)

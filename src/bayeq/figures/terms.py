@@ -52,7 +52,6 @@ def draw_terms(ax: Axes, target: str, terms: Sequence[tuple[str, float, str]], s
 
 
 def _beside(ax: Axes, place: float, text: str, **look: Any) -> None:
-    """Text to the right of the axes."""
     ax.text(1.02, place, text, transform=ax.get_yaxis_transform(), ha="left", va="center", **look)
 
 
@@ -299,7 +298,6 @@ def draw_drift(table: pd.DataFrame) -> Figure:
 
 
 def _panel(ax: Axes, rows: pd.DataFrame, before: str) -> None:
-    """The coefficient of one term."""
     ax.set_axisbelow(True)
     ax.grid(axis="y", color=style.PALE, linewidth=0.5)
     if "common_coef" in rows:

@@ -59,30 +59,21 @@ def solved_laws(laws: Sequence[Law]) -> list[Law]:
 
 @dataclass(frozen=True, eq=False)
 class Dynamics:
-    """dx/dt = f(x, u; theta): the chains' derivatives, and intercept + sum of coefficient x term for the highest.
-
-    Of maps these are the next values.
-    """
+    """dx/dt = f(x, u; theta), of maps the next values: intercept + sum of coefficient x term for the highest."""
 
     laws: tuple[Law, ...]  # the equations
-    inputs: tuple[str, ...]  # names of the inputs
+    roles: Roles  # their chains, inputs, and whether terms may use t, the time [s]: the last of what drives a run
     terms: tuple[tuple[Expression, ...], ...]  # the terms that each equation includes
     intercepts: tuple[bool, ...]  # equations that have an intercept
     # of states, inputs, t (if it is used) and parameters; its outputs are the states' derivatives, then the targets.
     # The parameters are, equation by equation, the intercept (if there is one) and the coefficients of the terms.
     tape: Tape
-    timed: bool = False  # whether terms may use t, the time [s]: the last of what drives a run
 
     @classmethod
     def of(
-        cls,
-        laws: Sequence[Law],
-        inputs: Sequence[str],
-        intercepts: Sequence[bool] | None = None,
-        timed: bool = False,
-        forced: bool = False,
+        cls, laws: Sequence[Law], roles: Roles, intercepts: Sequence[bool] | None = None, forced: bool = False
     ) -> Dynamics:
-        """From the terms that equations include; nothing is compiled to machine code for them.
+        """From the terms that equations, one per chain, include; nothing is compiled to machine code for them.
 
         By default all have an intercept. Where they are `forced`, each equation with `error_lines` has a force too;
         these are the last of what drives a run.
@@ -90,7 +81,6 @@ class Dynamics:
         kept = [tuple(compress(law.terms, law.posterior.support)) for law in laws]
         constant = (True,) * len(kept) if intercepts is None else tuple(intercepts)
         slopes: list[Expression] = []
-        targets: list[Expression] = []
         parameters: list[str] = []
         forces: list[str] = []
         one = Expression(Number(1))
@@ -104,44 +94,27 @@ class Dynamics:
                 forces.append(f"force[{k}]")
                 own.append((forces[-1], one))
             summed.append([(Symbol(name), term) for name, term in own])
-        sides, _ = solved(summed, [law.chain.target for law in laws])
+        sides, _ = solved(summed, roles.targets)
         for law, side in zip(laws, sides, strict=True):
-            targets.append(Expression(side))
             above = [*map(Symbol, law.chain.states[1:]), side]
             factors = rates(law.chain, law.unit_gains)
             for factor, node in zip(factors, above, strict=False):  # a static law gives no derivative
                 slopes.append(Expression(node if factor == 1.0 else Binary("*", number(factor), node)))
-        states = [name for law in laws for name in law.chain.states]
-        drivers = Roles((), tuple(inputs), timed).drivers
-        tape = Tape.compile([*slopes, *targets], [*states, *drivers, *forces, *parameters])
-        return cls(tuple(laws), tuple(inputs), tuple(kept), constant, tape, timed)
+        variables = [*roles.states, *roles.drivers, *forces, *parameters]
+        tape = Tape.compile([*slopes, *map(Expression, sides)], variables)
+        return cls(tuple(laws), roles, tuple(kept), constant, tape)
 
     @classmethod
     def on(cls, motion: Motion, terms: Sequence[Expression], posteriors: Sequence[Posterior]) -> Dynamics:
         """From the posterior of each equation of some motion, all of the same candidate terms."""
         parts = zip(motion.roles.chains, posteriors, motion.unit_gains, strict=True)
         laws = [Law(chain, terms, posterior, gains.tolist()) for chain, posterior, gains in parts]
-        return cls.of(laws, motion.roles.inputs, timed=motion.roles.timed)
-
-    @cached_property
-    def chains(self) -> tuple[Chain, ...]:
-        """One per equation."""
-        return tuple(law.chain for law in self.laws)
-
-    @property
-    def roles(self) -> Roles:
-        """Chains and inputs."""
-        return Roles(self.chains, self.inputs, self.timed)
+        return cls.of(laws, motion.roles)
 
     @cached_property
     def states(self) -> tuple[str, ...]:
         """Names of the states, in the tape's order."""
-        return tuple(name for chain in self.chains for name in chain.states)
-
-    @cached_property
-    def targets(self) -> tuple[str, ...]:
-        """Names of the left-hand sides, in the tape's order."""
-        return tuple(chain.target for chain in self.chains)
+        return self.roles.states
 
     @property
     def size(self) -> int:
@@ -159,22 +132,15 @@ class Dynamics:
     @cached_property
     def mean(self) -> Floats:
         """Posterior means of the parameters, (p,)."""
-        parts = []
-        for law, constant in zip(self.laws, self.intercepts, strict=True):
-            p = law.posterior
-            parts.append(np.append(p.intercept, p.coef[p.support])[not constant :])
-        return np.concatenate(parts)
+        parts = zip(self.laws, self.intercepts, strict=True)
+        return np.concatenate([moments(law.posterior)[0][not constant :] for law, constant in parts])
 
     @cached_property
     def covariance(self) -> Floats:
         """Posterior covariance of the parameters given the terms, (p, p); equations are independent."""
         out = np.zeros((self.size, self.size))
         for block, law, constant in zip(self.blocks(), self.laws, self.intercepts, strict=True):
-            # intercept = mean(y) - center'theta, where mean(y) has variance sigma^2/n
-            p = law.posterior
-            carried = p.covariance @ p.constant.center[p.support]
-            whole = np.block([[np.array([[p.intercept_sd**2]]), -carried], [-carried[:, None], p.covariance]])
-            out[block, block] = whole[not constant :, not constant :]
+            out[block, block] = moments(law.posterior)[1][not constant :, not constant :]
         return out
 
     def draw(self, count: int, rng: np.random.Generator) -> Floats:
@@ -188,6 +154,14 @@ class Dynamics:
             first = len(self.tape.variables) - self.size
             program.registers[first : first + self.size] = parameters
         return program
+
+
+def moments(p: Posterior) -> tuple[Floats, Floats]:
+    """Mean (1 + r,) and covariance of the intercept and the coefficients of the included terms."""
+    # intercept = mean(y) - center'theta, where mean(y) has variance sigma^2/n
+    carried = p.covariance @ p.constant.center[p.support]
+    covariance = np.block([[np.array([[p.intercept_sd**2]]), -carried], [-carried[:, None], p.covariance]])
+    return np.append(p.intercept, p.coef[p.support]), covariance
 
 
 def normal_draws(mean: Floats, covariance: Floats, count: int, rng: np.random.Generator) -> Floats:
@@ -223,10 +197,7 @@ def finest_step(dynamics: Dynamics, parameters: Floats, states: Floats, drive: D
 
 
 def _spread(column: Floats) -> float:
-    """Half of the range between the quantiles that enclose a normal distribution's standard deviation.
-
-    Runs that blow up have values that cannot be squared.
-    """
+    """Half the range of the middle 68 %, a normal distribution's standard deviation: huge values have no squares."""
     finite = column[np.isfinite(column)]
     if not len(finite):
         return 1.0

@@ -125,20 +125,24 @@ def forecast(
 ) -> Forecast:
     """Free run over rows of a record; see `bayeq.Equations.simulate`."""
     check_interpolation(interpolation)
-    time = require_time(record, "a free run")
-    raw = record
+    time, roles, raw = require_time(record, "a free run"), dynamics.roles, record
     if sensors is not None:
         record = corrected(record, sensors, whole=True)
     window = window_of(record, start, rows)
     draws = whole_number("draws", draws, 0)
-    part = inputs_filled(record.slice(window.start, window.stop), dynamics.inputs)
-    part.require_finite(dynamics.inputs)
-    time = time[window]
-    inputs = _inputs(dynamics, record, part, window, interpolation)
+    part = inputs_filled(record.slice(window.start, window.stop), roles.inputs)
+    part.require_finite(roles.inputs)
+    # by what is known of the inputs outside the window too, unless it had to be filled in
+    whole = all(np.isfinite(record[name]).all() for name in roles.inputs)
+    source = record if whole else part
+    inputs = between(roles, require_time(source, "a free run"), source.channels, interpolation)
     first, low, high = _beginning(dynamics, raw, (smooth, sensors, interpolation), window, initial)
-    mean, stopped, drive = mean_run(dynamics, dynamics.mean, first, Drive.over(time, inputs, low, high))
-    bottom: Mapping[str, Floats] = {}
-    top: Mapping[str, Floats] = {}
+    driven = Drive.over(time[window], inputs[window] if whole else inputs, low, high)
+    mean, stopped, drive = mean_run(dynamics, dynamics.mean, first, driven)
+
+    def by_state(values: Floats) -> Mapping[str, Floats]:
+        return dict(zip(roles.states, values.T, strict=True))
+
     blown = 0
     if draws:
         rng, laws = np.random.default_rng(seed), dynamics.laws
@@ -148,35 +152,23 @@ def forecast(
             for law in laws
             if law.posterior.projected and law.posterior.error_lines
         ]
-        forced = Dynamics.of(laws, dynamics.inputs, dynamics.intercepts, dynamics.timed, forced=True)
+        forced = Dynamics.of(laws, roles, dynamics.intercepts, forced=True)
         below, above, blown = run_bands(forced, drawn, first, drive, forces)
-        bottom = dict(zip(dynamics.states, below.T, strict=True))
-        top = dict(zip(dynamics.states, above.T, strict=True))
-    measured = {name: part[name] for name in dynamics.states if name in part.channels}
+    run = by_state(mean)
+    measured = {name: part[name] for name in run if name in part.channels}
     return Forecast(
-        time=time,
-        mean=dict(zip(dynamics.states, mean.T, strict=True)),
-        low=bottom,
-        high=top,
+        time=time[window],
+        mean=run,
+        low=by_state(below) if draws else {},
+        high=by_state(above) if draws else {},
         draws=draws,
         blown=blown,
-        blew_up_at=None if stopped is None else float(time[stopped]),
-        nrmse={
-            name: normalised_error(mean[:, dynamics.states.index(name)], samples) for name, samples in measured.items()
-        },
+        blew_up_at=None if stopped is None else float(time[window][stopped]),
+        nrmse={name: normalised_error(run[name], samples) for name, samples in measured.items()},
         measured=measured,
-        units={name: unit for name, unit in (units or {}).items() if name in dynamics.states},
-        clock="samples" if dynamics.roles.discrete else "s",
+        units={name: unit for name, unit in (units or {}).items() if name in run},
+        clock="samples" if roles.discrete else "s",
     )
-
-
-def _inputs(dynamics: Dynamics, record: Record, part: Record, window: slice, interpolation: Courses) -> Floats:
-    """Inputs between the rows of a window, by what is known of them outside it too; `part` is the window, filled in."""
-    whole = all(np.isfinite(record[name]).all() for name in dynamics.inputs)
-    source = record if whole else part
-    columns = {name: np.asarray(source[name]) for name in dynamics.inputs}
-    out = between(dynamics.roles, require_time(source, "a free run"), columns, interpolation)
-    return out[window] if whole else out
 
 
 def _beginning(
@@ -208,7 +200,13 @@ def _beginning(
         columns = rows.columns
     else:
         row = window.start
-        columns = _measured_states(dynamics, record, row, needed)
+        columns = {name: record[name] for name in dynamics.states if name in record.channels}
+        for name in needed:
+            if name not in columns or not np.isfinite(columns[name][row]):
+                raise InputError(
+                    f"{record.name or 'record'}: the initial {name!r} is not measured: give"
+                    f" initial={{{', '.join(f'{n!r}: ...' for n in needed)}}}"
+                )
     start = np.array([given.get(name, columns[name][row] if name in columns else 0.0) for name in dynamics.states])
     low, high = np.full(len(start), -ANYWHERE), np.full(len(start), ANYWHERE)
     for i, name in enumerate(dynamics.states):
@@ -223,33 +221,16 @@ def _beginning(
     return start, low, high
 
 
-def _measured_states(dynamics: Dynamics, record: Record, row: int, needed: Sequence[str]) -> Mapping[str, Floats]:
-    """Columns of the states that happen to be measured; those needed must be, in a row."""
-    measured = {name: record[name] for name in dynamics.states if name in record.channels}
-    for name in needed:
-        if name not in measured or not np.isfinite(measured[name][row]):
-            raise InputError(
-                f"{record.name or 'record'}: the initial {name!r} is not measured: give"
-                f" initial={{{', '.join(f'{n!r}: ...' for n in needed)}}}"
-            )
-    return measured
-
-
 def write_forecasts(file: Path, runs: Sequence[tuple[str, Forecast]]) -> None:
-    """Write a table (.csv) of the free runs of some records, by their names, or a figure (of the first six).
-
-    The suffix, which `bayeq.figures.style.require_suffix` has checked, says what to write.
-    """
+    """Write free runs of records, by names, as a table (.csv) or a figure (of the first six), as the suffix says."""
     several = len(runs) > 1
 
     def table() -> pd.DataFrame:
         import pandas as pd
 
-        tables = [run.table() for _, run in runs]
-        if several:
-            for (name, _), one in zip(runs, tables, strict=True):
-                one.insert(0, "record", name)
-        return pd.concat(tables, ignore_index=True)
+        names, tables = zip(*((name, run.table()) for name, run in runs), strict=True)
+        whole = pd.concat(tables, keys=names, names=["record", None]).reset_index(level=0)
+        return whole if several else tables[0]
 
     def figure() -> Figure:
         return draw_forecasts([(name if several else "", run) for name, run in runs[:MOST_DRAWN]])
@@ -288,10 +269,7 @@ WINDOWS = 12
 
 
 def state_range(states: Floats) -> tuple[Floats, Floats]:
-    """Where runs are given up: a thousand times the range of the states (n, d), on either side.
-
-    Of a state that was zero throughout nothing is known.
-    """
+    """Where runs are given up: a thousand times the range of the states (n, d) on either side; nowhere if all are 0."""
     low, high = np.nanmin(states, axis=0), np.nanmax(states, axis=0)
     largest = np.maximum(high - low, np.maximum(np.abs(low), np.abs(high)))
     margin = np.where(largest > 0, GENEROUS * largest, ANYWHERE)
@@ -320,10 +298,7 @@ def mean_run(dynamics: Dynamics, parameters: Floats, first: Floats, drive: Drive
 
 
 def typical_period(dynamics: Dynamics, pieces: Sequence[Rows]) -> float:
-    """Shortest of the chains' periods [s]: 2 pi times the spread of the coordinate over that of its derivative.
-
-    Of a map [samples]: over that of its changes.
-    """
+    """Shortest of the chains' periods [s], 2 pi sd(x)/sd(x'); of maps [samples] by the changes in place of x'."""
     periods = []
     for law in dynamics.laws:
         if law.chain.static:

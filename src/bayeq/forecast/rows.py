@@ -10,50 +10,34 @@ import numpy as np
 
 from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
-from bayeq.errors import InputError, RecordError, require_kind, whole_number
+from bayeq.errors import InputError, RecordError, whole_number
 from bayeq.expressions import Expression
 from bayeq.numerics.rk4 import Drive, Interpolation, interpolant, with_time
 from bayeq.records import Record
-from bayeq.states import ChainSmoothing, Motion, Roles
+from bayeq.states import ChainSmoothing, Motion, MotionRows, Roles
 
 # How inputs go between samples: all alike, or each by its name, those without a name as "cubic".
 Courses = Interpolation | Mapping[str, Interpolation]
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
-    """Rows of one record."""
+class Rows(MotionRows):
+    """Rows of one record with time; `columns` have targets as they were measured, where they were."""
 
-    time: Floats  # (n,), [s]
-    columns: Mapping[str, Floats]  # (n,), states, targets (measured, where they are) and inputs, as `discover` has them
-    samples: Mapping[str, Floats]  # (n,), what was measured of states and targets; NaN where a sample is missing
+    time: Floats
     # (n, m, 4), inputs, and t where it is used, between the rows, from `bayeq.numerics.rk4.interpolant` over the whole
     # record
     driven: Floats
     # how targets that were not measured were estimated
     estimated: Mapping[str, ChainSmoothing] = field(default_factory=dict)
 
-    @property
-    def n(self) -> int:
-        return len(self.time)
-
     def part(self, rows: slice) -> Rows:
         """Some of the rows."""
-        return Rows(
-            self.time[rows],
-            {name: values[rows] for name, values in self.columns.items()},
-            {name: values[rows] for name, values in self.samples.items()},
-            self.driven[rows],
-            self.estimated,
-        )
+        return Rows(**vars(super().part(rows)), driven=self.driven[rows], estimated=self.estimated)
 
     def drive(self, low: Floats, high: Floats) -> Drive:
         """What drives a run over these rows, within a range of the states."""
         return Drive.over(self.time, self.driven, low, high)
-
-    def interpolated(self, roles: Roles, kind: Interpolation) -> Rows:
-        """The same with inputs interpolated otherwise, of a whole record."""
-        return replace(self, driven=between(roles, self.time, self.columns, kind))
 
     def nearest(self, time: float) -> int:
         """The row that is nearest to a time."""
@@ -73,10 +57,10 @@ def rows_of(motion: Motion, purpose: str, interpolation: Courses | None = None) 
     }
     out = []
     for rows in motion.records:
-        if rows.time is None:
-            raise RecordError(f"{rows.name or 'record'}: {purpose} needs a time column or fs")
-        driven = between(roles, rows.time, rows.columns, interpolation)
-        out.append(Rows(rows.time, {**rows.columns, **rows.observed}, rows.samples, driven, estimated))
+        time = require_time(rows, purpose)
+        driven = between(roles, time, rows.columns, interpolation)
+        judged = replace(rows, columns={**rows.columns, **rows.observed})
+        out.append(Rows(**vars(judged), driven=driven, estimated=estimated))
     return out
 
 
@@ -95,9 +79,8 @@ def between(roles: Roles, time: Floats, columns: Mapping[str, Floats], kind: Cou
     return with_time(time, inputs) if roles.timed else inputs
 
 
-def require_time(record: Record, purpose: str) -> Floats:
+def require_time(record: Record | MotionRows, purpose: str) -> Floats:
     """Sampling times of a record; RecordError if it has none."""
-    require_kind(record, Record, "the record", "a Record")
     if record.time is None:
         raise RecordError(f"{record.name or 'record'}: {purpose} needs a time column or fs")
     return record.time

@@ -75,19 +75,19 @@ class Scores:
 def percentages(errors: Mapping[str, float]) -> str:
     """Errors as text.
 
-    Examples
-    --------
     >>> percentages({"x": 0.0123, "v": 0.57})
     'x 1.2 %, v 57 %'
     """
-    return ", ".join(f"{name} {in_digits(100.0 * error)} %" for name, error in errors.items()) or "no state is measured"
+    return ", ".join(f"{name} {percent(error)}" for name, error in errors.items()) or "no state is measured"
+
+
+def percent(share: float) -> str:
+    """A share in per cent, of two significant digits."""
+    return f"{in_digits(100.0 * share)} %"
 
 
 def score_rows(dynamics: Dynamics, parameters: Floats, pieces: Sequence[Rows], motion: Sequence[Rows] = ()) -> Scores:
-    """Scores over all rows of some records together, at least two of each, a free run in each.
-
-    `motion` tells how far states may go, if it is more than these: a body may be at rest in them.
-    """
+    """Scores over all rows of records together, a free run in each; states may go as far as in `motion`, or here."""
     runs, blew_up_at = [], None
     moving = pieces if dynamics.states else []
     limits = state_range(np.concatenate([rows.stack(dynamics.states) for rows in motion or pieces]))
@@ -103,7 +103,7 @@ def score_rows(dynamics: Dynamics, parameters: Floats, pieces: Sequence[Rows], m
             samples = np.concatenate([rows.samples[name] for rows in pieces])
             free[name] = normalised_error(np.concatenate([run[:, i] for run in runs]), samples)
     one_step = {}
-    for target, terms, block in zip(dynamics.targets, dynamics.terms, dynamics.blocks(), strict=True):
+    for target, terms, block in zip(dynamics.roles.targets, dynamics.terms, dynamics.blocks(), strict=True):
         pairs = [_predicted(target, terms, parameters[block], rows) for rows in pieces]
         found, given = (np.concatenate(part) for part in zip(*pairs, strict=True))
         one_step[target] = normalised_error(found, given)
@@ -130,7 +130,8 @@ def held_out_scores(dynamics: Dynamics, motion: Motion) -> Scores | None:
     pieces = [rows for rows in divided(motion, whole)[1] if rows.n >= LEAST_ROWS]
     if not pieces:
         return None
-    names = [name for name in (*dynamics.states, *dynamics.targets) if all(name in rows.samples for rows in whole)]
+    roles = dynamics.roles
+    names = [name for name in (*roles.states, *roles.targets) if all(name in rows.samples for rows in whole)]
     still = tuple(name for name in names if _spread(pieces, name) < STILL * _spread(whole, name))
     return replace(score_rows(dynamics, dynamics.mean, pieces, whole), still=still)
 

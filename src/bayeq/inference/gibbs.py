@@ -47,7 +47,6 @@ MOST_AT_START = 30.0
 @kernel
 def draw_theta(T: Tableau, active: Bools, variance: float, rng: np.random.Generator, out: Floats) -> None:
     """theta_r ~ N(a_r, sigma^2 A_r) into `out`, zero elsewhere; the Cholesky factor of A_r = -M_rr is taken here."""
-    terms = len(active)
     index = np.flatnonzero(active)
     r = len(index)
     L = np.empty((r, r))
@@ -57,11 +56,8 @@ def draw_theta(T: Tableau, active: Bools, variance: float, rng: np.random.Genera
             for k in range(b):
                 value -= L[a, k] * L[b, k]
             L[a, b] = math.sqrt(max(value, 0.0)) if a == b else value / L[b, b] if L[b, b] > 0.0 else 0.0
-    for j in range(terms):
-        out[j] = 0.0
-    noise = np.empty(r)
-    for a in range(r):
-        noise[a] = rng.standard_normal()
+    out[:] = 0.0
+    noise = rng.standard_normal(r)
     scale = math.sqrt(variance)
     for a in range(r):
         value = T.partial[index[a]]
@@ -99,20 +95,10 @@ def exchange_terms(p: Problem, T: Tableau, active: Bools, rng: np.random.Generat
     reach only through a model that hardly ever occurs.
     """
     terms = len(active)
-    candidates = 0
-    for i in range(terms):
-        if active[i] and not math.isinf(p.log_odds[i]):
-            candidates += 1
-    if candidates == 0:
+    candidates = np.flatnonzero(active & np.isfinite(p.log_odds))
+    if len(candidates) == 0:
         return 0
-    which = int(rng.random() * candidates)
-    leaves = -1
-    for i in range(terms):
-        if active[i] and not math.isinf(p.log_odds[i]):
-            if which == 0:
-                leaves = i
-                break
-            which -= 1
+    leaves = candidates[int(rng.random() * len(candidates))]
     swap_gains(p, T, leaves, weight)
     top = max(0.0, weight.max())
     total = math.exp(-top)
@@ -173,17 +159,9 @@ def sample_chain(
             exchange_terms(p, T, active, rng, draw)
         _scan(p, T, active, rng, inclusion)
         if k >= 0:
-            for j in range(terms):
-                pip[j] += inclusion[j]
+            pip += inclusion
         if t % LOOK == 0 and drifted(p, T):
             renew(p, T, active)
-
-
-def _seed(seed: int | Sequence[int]) -> np.random.SeedSequence:
-    try:
-        return np.random.SeedSequence(seed)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"a seed is a whole number, 0 or more (or a sequence of them), not {seed!r}") from error
 
 
 def sample_posterior(
@@ -211,9 +189,12 @@ def sample_posterior(
     # as many terms as the prior expects, as in the paper, but not so many that they would fit anything
     expected = min(float(np.sum(1.0 / (1.0 + np.exp(-finite)))), max(0.1 * problem.dof, 5.0), MOST_AT_START)
     start = greedy_start(problem, max(1, round(expected)))
-    rss = residual_sum(problem)
-    nominal = max(rss, problem.floor) / max(problem.dof - terms, 1.0)
-    for k, stream in enumerate(_seed(seed).spawn(chains)):
+    nominal = max(residual_sum(problem), problem.floor) / max(problem.dof - terms, 1.0)
+    try:
+        root = np.random.SeedSequence(seed)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"a seed is a whole number, 0 or more (or a sequence of them), not {seed!r}") from error
+    for k, stream in enumerate(root.spawn(chains)):
         rng = np.random.Generator(np.random.PCG64(stream))
         variance = nominal * math.exp(0.1 * rng.standard_normal())
         samples_of_chain = z[k], theta[k], noise[k], levels[k], pip[k]

@@ -282,24 +282,11 @@ class Gram:
         Standardised
             The Gram matrix, and the scales that lead back to original units.
         """
-        gram = Gram(
-            names=self.names,
-            n=self.n,
-            mean=np.zeros(len(self.names)),
-            target_mean=0.0,
-            DtD=self.DtD / scale[:, None] / scale,
-            Dty=self.Dty / scale / target_scale,
-            yty=self.yty / target_scale**2,
-            dof=self.dof,
-        )
-        return Standardised(gram=gram, source=self, scale=scale, target_scale=float(target_scale))
+        units = Standardised(gram=self, source=self, scale=scale, target_scale=float(target_scale))
+        return replace(units, gram=units.apply(self))
 
     def _moments(self) -> Moments:
-        p = len(self.names)
-        cross = np.empty((p + 1, p + 1))
-        cross[:p, :p] = self.DtD
-        cross[:p, p] = cross[p, :p] = self.Dty
-        cross[p, p] = self.yty
+        cross = np.block([[self.DtD, self.Dty[:, None]], [self.Dty, np.float64(self.yty)]])
         return Moments(self.n, np.append(self.mean, self.target_mean), cross)
 
 
@@ -427,20 +414,13 @@ def grams_from_data(
     if D.ndim != 2 or Y.ndim != 2 or len(D) != len(Y):
         raise InputError(f"need D of shape (n, P) and a target of as many rows, got {D.shape} and {Y.shape}")
     columns = tuple(names) if names is not None else default_names(D.shape[1])
-    if weights is None:
-        starts = range(0, len(D), BLOCK_ROWS)
-        blocks = (_block_moments(D[i : i + BLOCK_ROWS], Y[i : i + BLOCK_ROWS]) for i in starts)
-        return _checked(_joined(blocks, columns, Y.shape[1]), D, Y)
-    w = checked_weights(weights, len(D))
-    kept = w > 0.0
-    if not kept.all():
-        D, Y, w = D[kept], Y[kept], w[kept]
+    w = None if weights is None else checked_weights(weights, len(D))
+    if w is not None and not w.all():
+        D, Y, w = D[w > 0.0], Y[w > 0.0], w[w > 0.0]
     rows = (slice(i, i + BLOCK_ROWS) for i in range(0, len(D), BLOCK_ROWS))
-    return _checked(_joined((_weighted_moments(D[r], Y[r], w[r]) for r in rows), columns, Y.shape[1]), D, Y)
-
-
-def _checked(grams: tuple[Gram, ...], D: Floats, Y: Floats) -> tuple[Gram, ...]:
-    require_squares(D, Y, grams[0].diagonal, np.array([gram.yty for gram in grams]), grams[0].names)
+    parts = (_block_moments(D[r], Y[r]) if w is None else _weighted_moments(D[r], Y[r], w[r]) for r in rows)
+    grams = _joined(parts, columns, Y.shape[1])
+    require_squares(D, Y, grams[0].diagonal, np.array([gram.yty for gram in grams]), columns)
     return grams
 
 
@@ -474,3 +454,89 @@ def checked_weights(weights: ArrayLike, rows: int) -> Floats:
     if rows and not w.any():
         raise InputError("weights are all zero: no row is left; give at least one a positive weight")
     return w
+
+
+# With fewer columns than this D'D is small, however few the rows.
+LEAST_COLUMNS = 500
+
+
+@dataclass(frozen=True, slots=True)
+class LazyGram:
+    """Centred data that answer as a `Gram` does."""
+
+    names: tuple[str, ...]  # the P columns
+    n: float  # number of rows
+    mean: Floats  # (P,), of D
+    target_mean: float
+    data: Floats  # (n, P), centred D
+    # centred sums of squares and products
+    diagonal: Floats  # (P,)
+    Dty: Floats  # (P,)
+    yty: float
+    dof: float  # degrees of freedom, as in `Gram`
+
+    def column(self, j: int) -> Floats:
+        """Column j of D'D, (P,)."""
+        return np.asarray(self.data[:, j] @ self.data)
+
+    def standardise(self, target_scale: float = 1.0) -> Standardised:
+        """Eq. (32): columns of zero mean and unit standard deviation, y divided by `target_scale`."""
+        sd = np.sqrt(self.diagonal / self.n)
+        scale = np.where(sd > 0, sd, 1.0)
+        gram = replace(
+            self,
+            mean=np.zeros(len(self.names)),
+            target_mean=0.0,
+            data=self.data / scale,
+            diagonal=self.diagonal / scale**2,
+            Dty=self.Dty / scale / target_scale,
+            yty=self.yty / target_scale**2,
+        )
+        return Standardised(gram=gram, source=self, scale=scale, target_scale=float(target_scale))
+
+
+def _lazy_grams(D: Floats, Y: Floats, names: Sequence[str] | None, weights: ArrayLike | None) -> tuple[LazyGram, ...]:
+    """One `LazyGram` per column of Y, all with the same data."""
+    columns = tuple(names) if names is not None else default_names(D.shape[1])
+    w = np.ones(len(D)) if weights is None else checked_weights(weights, len(D))
+    n = float(w.sum())
+    with np.errstate(over="ignore", invalid="ignore"):
+        mean, target_mean = w @ D / n, w @ Y / n
+        data, rest = D - mean, Y - target_mean
+        if weights is not None:
+            data *= np.sqrt(w)[:, None]
+            rest *= np.sqrt(w)[:, None]
+        diagonal, yty = np.einsum("ij,ij->j", data, data), np.einsum("ij,ij->j", rest, rest)
+        Dty = data.T @ rest
+    bad = np.flatnonzero(~np.isfinite(diagonal))
+    if bad.size or not np.isfinite(yty).all():
+        where = ", ".join(columns[j] for j in bad[:8]) or "the target"
+        raise InputError(f"non-finite values (or squares that overflow) in {where}")
+    require_squares(D, Y, diagonal, yty, columns)
+    return tuple(
+        LazyGram(
+            names=columns,
+            n=int(n) if n == int(n) else n,
+            mean=mean,
+            target_mean=float(target_mean[k]),
+            data=data,
+            diagonal=diagonal,
+            Dty=np.ascontiguousarray(Dty[:, k]),
+            yty=float(yty[k]),
+            dof=n - 1.0,
+        )
+        for k in range(Y.shape[1])
+    )
+
+
+def grams_of(
+    D: Floats, Y: Floats, names: Sequence[str] | None = None, weights: ArrayLike | None = None
+) -> tuple[Gram | LazyGram, ...]:
+    """The statistics of regressions of the columns of Y (n, T) on D (n, P); lazy where D is wide and P large.
+
+    Raises as `Gram.from_data`.
+    """
+    rows, columns = D.shape
+    if columns > rows and columns >= LEAST_COLUMNS:
+        return _lazy_grams(D, Y, names, weights)
+    return grams_from_data(D, Y, names, weights)

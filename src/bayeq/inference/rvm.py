@@ -85,15 +85,6 @@ def _shift_ridge(T: Tableau, j: int, delta: float) -> None:
 
 
 @kernel
-def _astray(columns: Columns, Dty: Floats, yty: float, lam: Floats, floor: float, T: Tableau) -> bool:
-    """Whether the tableau has `strayed`."""
-    ridges = np.empty(len(lam))
-    for j in range(len(lam)):
-        ridges[j] = lam[j] if lam[j] < math.inf else 0.0
-    return strayed(columns, Dty, yty, ridges, floor, T)
-
-
-@kernel
 def rvm_ascent(
     columns: Columns, Dty: Floats, yty: float, dof: float, max_iter: int
 ) -> tuple[Floats, Tableau, float, int, bool]:
@@ -103,9 +94,7 @@ def rvm_ascent(
     """
     p = len(Dty)
     T = build(columns, Dty, yty, 0.0)
-    lam = np.empty(p)
-    for j in range(p):
-        lam[j] = math.inf
+    lam = np.full(p, math.inf)
     floor = max(1e-14 * yty, 1e-300)
     steps, converged = 0, False
     while steps < max_iter:
@@ -125,14 +114,13 @@ def rvm_ascent(
         else:
             _shift_ridge(T, j, new - lam[j])
         lam[j] = new
-        if steps % LOOK == 0 and _astray(columns, Dty, yty, lam, floor, T):
+        if steps % LOOK == 0 and strayed(columns, Dty, yty, np.where(lam < math.inf, lam, 0.0), floor, T):
             T = build(columns, Dty, yty, 0.0)
             for k in range(p):
                 if lam[k] < math.inf:
                     enter(columns, Dty, T, k, lam[k])
-    gamma = np.empty(p)
+    gamma = np.zeros(p)
     for j in range(p):
-        gamma[j] = 0.0
         if lam[j] < math.inf:
             gamma[j] = min(max(1.0 + lam[j] * T.diagonal[j], 1e-300), 1.0)
     return gamma, T, max(T.diagonal[p], floor) / dof, steps, converged

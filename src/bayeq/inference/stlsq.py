@@ -13,7 +13,7 @@ import numpy as np
 
 from bayeq.arrays import Bools, Floats
 from bayeq.errors import InputError, whole_number
-from bayeq.inference.gram import Gram, GramLike, dense
+from bayeq.inference.gram import Gram, GramLike, LazyGram, dense
 from bayeq.inference.posterior import Constant, Details, Posterior
 from bayeq.inference.prior import Prior
 from bayeq.kernels import kernel
@@ -100,11 +100,12 @@ def _threshold_path(K: Floats, c: Floats, thresholds: Floats, ridge: float, max_
 
 def _moments(gram: GramLike, centred: bool) -> tuple[Floats, Floats]:
     """D'D and D'y, about the means or about zero."""
+    K, c = np.ascontiguousarray(dense(gram)), np.ascontiguousarray(gram.Dty)
     if centred:
-        return np.ascontiguousarray(dense(gram)), np.ascontiguousarray(gram.Dty)
-    if not isinstance(gram, Gram):
+        return K, c
+    if not isinstance(gram, Gram | LazyGram):
         raise InputError("uncentred least squares needs a Gram that knows its means")
-    return gram.DtD + gram.n * np.outer(gram.mean, gram.mean), gram.Dty + gram.n * gram.target_mean * gram.mean
+    return K + gram.n * np.outer(gram.mean, gram.mean), c + gram.n * gram.target_mean * gram.mean
 
 
 def stlsq(
@@ -175,7 +176,7 @@ def sweep_stlsq(
 
 def _means(gram: GramLike) -> tuple[Floats, float]:
     """Means of the columns and of the target; a Gram that does not know them is standardised."""
-    return (gram.mean, gram.target_mean) if isinstance(gram, Gram) else (np.zeros(len(gram.names)), 0.0)
+    return (gram.mean, gram.target_mean) if isinstance(gram, Gram | LazyGram) else (np.zeros(len(gram.names)), 0.0)
 
 
 def _residual_sum(yty: float, K: Floats, c: Floats, coef: Floats) -> float:
@@ -199,7 +200,7 @@ def _posterior(
 ) -> Posterior:
     support = coef != 0.0
     kept = np.flatnonzero(support)
-    n = gram.n if isinstance(gram, Gram) else round(gram.dof) + 1
+    n = gram.n if isinstance(gram, Gram | LazyGram) else round(gram.dof) + 1
     mean, target_mean = _means(gram)
     yty = gram.yty if centred else gram.yty + n * target_mean**2
     variance = _residual_sum(yty, K, c, coef) / max(gram.dof - len(kept), 1.0)
@@ -221,7 +222,5 @@ def _posterior(
 def _inverse(matrix: Floats) -> Floats:
     """Inverse of a positive matrix, scaled to unit diagonal on the way; of directions that rounding decides, none."""
     scale = 1.0 / np.sqrt(np.diagonal(matrix))
-    values, vectors = np.linalg.eigh(matrix * np.outer(scale, scale))
-    kept = values > len(values) * np.finfo(np.float64).eps * values.max(initial=0.0)
-    half = vectors[:, kept] / np.sqrt(values[kept]) * scale[:, None]
-    return np.asarray(half @ half.T)
+    unit = np.outer(scale, scale)
+    return np.linalg.pinv(matrix * unit, rcond=len(scale) * np.finfo(np.float64).eps, hermitian=True) * unit

@@ -147,10 +147,8 @@ def _update_indicators(
     p: Problem, log_odds: Floats, w: Floats, index: Ints, mu: Floats, C: Floats, tau_old: float, tau: float
 ) -> None:
     """Eqs. (25)-(26) for each term in turn, with the newest w of the others."""
-    position = np.empty(len(w), np.int64)
+    position = np.full(len(w), -1, np.int64)
     rows, slot = p.columns.rows, p.columns.slot
-    for i in range(len(w)):
-        position[i] = -1
     for a in range(len(index)):
         position[index[a]] = a
     for i in range(len(w)):
@@ -186,9 +184,7 @@ def vb_ascent(p: Problem, w: Floats, tau: float, tolerance: float, max_iter: int
             w[i] = 1.0
         elif p.log_odds[i] == -math.inf:
             w[i] = 0.0
-    log_odds, index = np.empty(terms), np.empty(terms, np.int64)
-    for i in range(terms):
-        log_odds[i] = p.log_odds[i]
+    log_odds, index = p.log_odds.copy(), np.empty(terms, np.int64)
     rows, slot = p.columns.rows, p.columns.slot
     while True:
         r = 0
@@ -235,9 +231,7 @@ def vb_ascent(p: Problem, w: Floats, tau: float, tolerance: float, max_iter: int
             break
         _update_indicators(p, log_odds, w, index[:r], mu, C, tau, tau_new)
         tau = tau_new
-    full = np.empty(terms)
-    for i in range(terms):
-        full[i] = 0.0
+    full = np.zeros(terms)
     for a in range(r):
         full[index[a]] = mu[a]
         for b in range(r):

@@ -122,10 +122,7 @@ def _sampling(values: Floats) -> tuple[float | None, float | None]:
 
 
 def _even_pieces(values: Floats, time: Floats | None, step: float | None, even: bool) -> list[Floats]:
-    """Samples of a channel at even steps of time, interpolated where time is uneven or samples are missing.
-
-    The record is divided at gaps of more than 2.5 steps, which nothing is interpolated over.
-    """
+    """Samples at even steps of time between gaps, interpolated where time is uneven or samples are missing."""
     known = np.isfinite(values)
     if time is None or step is None or not known.any():
         return []

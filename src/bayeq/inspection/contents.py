@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 import textwrap
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -25,8 +25,7 @@ LEFT = (0, 1, 2, 8)
 # Characters of a line; commands, which are copied, and tables of many wide numbers may have more.
 WIDTH = 100
 
-# Digits of numbers, characters of names and units, which are cut so that rows stay rows, and blanks between columns:
-# the first that fit.
+# Digits of numbers, characters of names and units, and blanks between columns: the first that fit.
 SIZES = ((4, 24, 2), (3, 24, 2), (3, 24, 1), (3, 16, 1), (3, 12, 1), (3, 8, 1))
 SHORT = {"power by octave": "octaves", TITLES[INPUT]: "input"}
 
@@ -186,20 +185,15 @@ class RecordInfo:
         }
 
     def _channel(self, channel: ChannelInfo) -> dict[str, Any]:
-        def known(value: float) -> float | None:
-            return value if math.isfinite(value) else None
-
         found = channel.spectrum
+        numbers = {"min": channel.least, "max": channel.greatest, "mean": channel.mean, "sd": channel.sd}
         return {
             "name": channel.name,
             "unit": channel.unit or None,
             "role": self.guess.role_of(channel.name) or None,
             "why": self.guess.reasons.get(channel.name),
             "missing": channel.missing,
-            "min": known(channel.least),
-            "max": known(channel.greatest),
-            "mean": known(channel.mean),
-            "sd": known(channel.sd),
+            **{key: value if math.isfinite(value) else None for key, value in numbers.items()},
             "constant": channel.constant,
             "resolution": channel.resolution,
             "held": channel.held,
@@ -230,7 +224,6 @@ def as_text(found: RecordInfo, plain: bool = False) -> str:
 
 
 def _wrapped(text: str) -> list[str]:
-    """A sentence as lines."""
     return textwrap.wrap(
         printable(text), WIDTH, initial_indent="  ", subsequent_indent="    ", break_long_words=False,
         break_on_hyphens=False,
@@ -257,15 +250,13 @@ def title(found: RecordInfo) -> str:
     return f"{name}{rows} {rate}, {duration}{several}; {channels}"
 
 
-def _sections(found: RecordInfo) -> list[tuple[str, Sequence[str]]]:
-    out: list[tuple[str, Sequence[str]]] = []
+def _sections(found: RecordInfo) -> Iterator[tuple[str, Sequence[str]]]:
     if found.guess.reasons:
         roles = ((name, found.guess.role_of(name), found.guess.reasons.get(name)) for name in found.channels)
         why = [f"{shortened(name, SIZES[0][1])}: {role} ({reason})" for name, role, reason in roles if role and reason]
-        out.append(("why", why))
+        yield "why", why
     if found.findings:
-        out.append(("noticed", found.findings))
-    return out
+        yield "noticed", found.findings
 
 
 def _row(found: RecordInfo, channel: ChannelInfo, plain: bool, digits: int, longest: int) -> tuple[str, ...]:
@@ -305,7 +296,6 @@ def propose(
     guess: Guess, clues: Mapping[str, Clue], reading: Reading, rows: int, levels: Collection[str] = ()
 ) -> Proposal:
     """Command and notes for what was found out about a file, or files, of this many rows; `levels` are of liquids."""
-    options: list[tuple[str, str]] = []
     notes: list[str] = []
     if not reading.clocked and reading.files:
         notes.append(
@@ -317,23 +307,29 @@ def propose(
         notes.append(
             "its time starts over: this works once a column numbers the experiments (--group), or with a file for each"
         )
-    arguments = _roles(guess, options, notes)
+    if not guess.chains:
+        notes.append(
+            "DISPLACEMENT: no channel says what it is; write it, and --vel, --acc, --force (first order: --chain NAME)"
+        )
+    asked = _roles(guess)
     dictionary = _dictionary(guess, clues, rows, levels)
     if dictionary is not None:
-        options.append(("--dictionary", dictionary))
-        arguments.append(f"dictionary={dictionary!r}")
+        asked.append(("--dictionary", "dictionary", dictionary))
     _say_undecided(guess, clues, notes)
     command = None
     if reading.files:
         files = [name if not name.startswith("-") else f"./{name}" for name in reading.files]
         words = ["bayeq", "discover", *files]
         paths = {name: f"{name}={path}" for name, path in reading.channels.items() if name != path}
-        roles = ((option, ":".join(paths.get(name, name) for name in value.split(":"))) for option, value in options)
-        for option, value in (*_reading_options(reading), *roles):
-            words += [option, value]
-        command = " ".join(shlex.quote(word) for word in words)
+        for pair in _reading_options(reading):
+            words += pair
+        for option, _, value in asked:
+            for one in [value] if isinstance(value, str) else value:
+                words += [option, ":".join(paths.get(name, name) for name in one.split(":"))]
+        command = shlex.join(words)
     complete = reading.clocked and bool(guess.chains) and not reading.unnumbered
-    return Proposal(command, _python(reading, arguments), complete, tuple(notes))
+    arguments = ", ".join(f"{argument}={value!r}" for _, argument, value in asked)
+    return Proposal(command, f"bq.discover({_read_in_python(reading)}, {arguments})", complete, tuple(notes))
 
 
 def _reading_options(reading: Reading) -> list[tuple[str, str]]:
@@ -352,34 +348,22 @@ def _reading_options(reading: Reading) -> list[tuple[str, str]]:
     return out
 
 
-def _roles(guess: Guess, options: list[tuple[str, str]], notes: list[str]) -> list[str]:
-    """Options of chains and inputs; returns the same as Python arguments."""
+def _roles(guess: Guess) -> list[tuple[str, str, str | list[str]]]:
+    """Chains and inputs: the option of the command, the argument of `discover`, and the value or values of both."""
+    out: list[tuple[str, str, str | list[str]]] = []
     if not guess.chains:
-        options.append(("--disp", "DISPLACEMENT"))
-        notes.append(
-            "DISPLACEMENT: no channel says what it is; write it, and --vel, --acc, --force (first order: --chain NAME)"
-        )
-        arguments = ["displacement='DISPLACEMENT'"]
+        out.append(("--disp", "displacement", "DISPLACEMENT"))
     elif len(guess.chains) == 1 and len(guess.chains[0]) == 3:
-        arguments = []
-        for option, word, name in zip(
-            ("--disp", "--vel", "--acc"), ("displacement", "velocity", "acceleration"), guess.chains[0], strict=True
-        ):
-            if name is not None:
-                options.append((option, name))
-                arguments.append(f"{word}={name!r}")
+        places = (("--disp", "displacement"), ("--vel", "velocity"), ("--acc", "acceleration"))
+        out += [(*place, name) for place, name in zip(places, guess.chains[0], strict=True) if name is not None]
     else:
-        texts = [":".join(name or "" for name in chain) for chain in guess.chains]
-        options += [("--chain", text) for text in texts]
-        arguments = [f"chains={texts!r}"]
-    single = len(guess.inputs) == 1 and not (guess.chains and len(guess.chains[0]) == 1)
-    if single and len(guess.chains) < 2:
-        options.append(("--force", guess.inputs[0]))
-        arguments.append(f"force={guess.inputs[0]!r}")
+        out.append(("--chain", "chains", [":".join(name or "" for name in chain) for chain in guess.chains]))
+    first_order = bool(guess.chains) and len(guess.chains[0]) == 1
+    if len(guess.inputs) == 1 and len(guess.chains) < 2 and not first_order:
+        out.append(("--force", "force", guess.inputs[0]))
     elif guess.inputs:
-        options += [("--input", name) for name in guess.inputs]
-        arguments.append(f"inputs={list(guess.inputs)!r}")
-    return arguments
+        out.append(("--input", "inputs", list(guess.inputs)))
+    return out
 
 
 def _dictionary(guess: Guess, clues: Mapping[str, Clue], rows: int, levels: Collection[str]) -> str | None:
@@ -419,9 +403,9 @@ def _say_undecided(guess: Guess, clues: Mapping[str, Clue], notes: list[str]) ->
         notes.append("no channel is known to be a force: without one the motion is taken as free")
 
 
-def _python(reading: Reading, arguments: Sequence[str]) -> str:
+def _read_in_python(reading: Reading) -> str:
     if not reading.files:
-        return f"bq.discover(record, {', '.join(arguments)})"
+        return "record"
     gains = {name: gain_and_unit(reading.units.get(name, "")) for name in reading.reversed}
     units = {name: f"{-gain:g} {unit or ''}".strip() for name, (gain, unit) in gains.items()}
     reading = replace(reading, units={**reading.units, **units})
@@ -436,4 +420,4 @@ def _python(reading: Reading, arguments: Sequence[str]) -> str:
     else:
         read = [one + take for one in read]
         records = read[0] if len(read) == 1 else f"[{', '.join(read)}]"
-    return f"bq.discover({records}, {', '.join(arguments)})"
+    return records

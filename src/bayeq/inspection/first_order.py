@@ -13,15 +13,13 @@ from bayeq.errors import some_of
 from bayeq.inspection.roles import INPUT, Clue, Guess, clue_of
 from bayeq.records import Record
 
-# Speeds of rotation; electrical quantities, pressures and shares, of which no inertia is known. Symbols of these as
-# names without a unit, of which v, a or x are none.
+# Speeds of rotation; other quantities of which no inertia is known; their symbols as names (v, a or x are motions).
 ROTATION = {"rpm", "1/min", "U/min", "min^-1"}
 UNITS = ROTATION | {"V", "mV", "kV", "uV", "µV", "A", "mA", "kA", "bar", "mbar", "%"}
 CURRENTS = {"A", "mA", "kA"}
 SYMBOLS = re.compile(r"([VUIT](_.*)?|[uin])(_?\d+)?")
 
-# A channel only decays where means over this many stretches fall, but for a share of the first one, to this share of it
-# or less, and leave less of its variance than this.
+# A channel decays if means of stretches fall, up to a share of the first, to this share of it, and leave this variance.
 STRETCHES, UNEVEN, DECAYED, LEFT = 16, 0.02, 0.8, 0.02
 
 # A speed goes on in one direction where this share of its samples is above this share of the largest.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -185,7 +185,9 @@ def _described(experiments: Experiments, name: str, reading: Reading) -> RecordI
     rates = [record for record in records if record.fs is not None]
     checks = _checks(records, guess)
     reading = _completed(reading, experiments, checks)
-    turning = [key for key in moving if clues[key].angle and not channels[key].unit and _turns(channels[key])]
+    # in rad these angles would turn to and fro by whole turns
+    whole = {key for key, one in channels.items() if one.least < -2.0 * math.pi and one.greatest > 2.0 * math.pi}
+    turning = [key for key in moving if clues[key].angle and not channels[key].unit and key in whole]
     reading = replace(reading, units={**reading.units, **dict.fromkeys(turning, "deg")})
     clues = {key: replace(clue, degrees=clue.degrees or key in turning) for key, clue in clues.items()}
     how = "turns to and fro by more than 2 pi: taken in degrees; of radians leave out --units"
@@ -216,11 +218,6 @@ def _described(experiments: Experiments, name: str, reading: Reading) -> RecordI
     parts = (_on_time, _on_experiments, _on_channels, _on_bad_samples)
     said = (text for part in parts for text in part(made))
     return replace(made, findings=(*said, *impossible, *(one.message for one in checks)))
-
-
-def _turns(channel: ChannelInfo) -> bool:
-    """Whether an angle in rad would turn to and fro by whole turns: then it is one in degrees."""
-    return channel.least < -2.0 * math.pi and channel.greatest > 2.0 * math.pi
 
 
 def _levels(channels: Mapping[str, ChannelInfo]) -> set[str]:
@@ -314,28 +311,26 @@ def copies_among(found: Sequence[RecordInfo]) -> list[str]:
 DURATIONS = {"d": "days", "h": "hours", "min": "minutes"}
 
 
-def _on_time(found: RecordInfo) -> list[str]:
-    out = []
+def _on_time(found: RecordInfo) -> Iterator[str]:
     column = found.experiments.time
     if column is not None and not found.experiments.restarts:
         clock = time_unit(column) or found.experiments.records[0].clock
         named = DURATIONS.get(clock, clock.removesuffix("s") + "s")
         unit = "seconds unless its header has a unit" if clock == "s" else named
-        out.append(f"time: no column has its name; {column}, which rises, is taken, in {unit}")
+        yield f"time: no column has its name; {column}, which rises, is taken, in {unit}"
     if found.experiments.step is not None:
-        out.append(f"time: {found.experiments.step} is constant and named as the time step [s]: taken for it")
+        yield f"time: {found.experiments.step} is constant and named as the time step [s]: taken for it"
     if found.experiments.counter is not None:
-        out.append(f"{found.experiments.counter} counts the rows: it is no channel and no time")
+        yield f"{found.experiments.counter} counts the rows: it is no channel and no time"
     if found.fs is not None and not found.uniform:
-        out.append("steps of time are uneven: spectra are those of samples interpolated between them")
+        yield "steps of time are uneven: spectra are those of samples interpolated between them"
     if found.gaps:
         longest = max(found.gaps, key=lambda gap: gap.seconds)
         count = len(found.gaps)
         what = "1 gap" if count == 1 else f"{count} gaps, the longest"
-        out.append(
+        yield (
             f"time: {what} of {longest.seconds:.4g} s after row {longest.row}; discover divides the record at long gaps"
         )
-    return out
 
 
 def _on_experiments(found: RecordInfo) -> list[str]:
@@ -368,45 +363,36 @@ def _on_parts(found: RecordInfo) -> list[str]:
     return [f"{how} row{'s' * (len(rows) > 1)} {_listed(rows)}: perhaps {len(rows) + 1} experiments (--rows, --group)"]
 
 
-def _on_channels(found: RecordInfo) -> list[str]:
-    out = [f"{name} is the same as {other}: left out" for name, other in found.copies.items()]
+def _on_channels(found: RecordInfo) -> Iterator[str]:
+    yield from (f"{name} is the same as {other}: left out" for name, other in found.copies.items())
     for name, channel in found.channels.items():
         if channel.missing == found.rows:
-            out.append(f"{name} has no samples")
+            yield f"{name} has no samples"
         elif channel.missing:
             share = f"{100.0 * channel.missing / found.rows:.3g}"
             samples = "1 sample is" if channel.missing == 1 else f"{channel.missing} samples are"
-            out.append(f"{name}: {samples} missing ({share} %)")
+            yield f"{name}: {samples} missing ({share} %)"
         if channel.constant and channel.missing < found.rows:
-            out.append(f"{name} is constant, {channel.least:.6g}: it says nothing of the motion")
+            yield f"{name} is constant, {channel.least:.6g}: it says nothing of the motion"
         if channel.resolution is not None:
-            out.append(f"{name} has few levels, {channel.resolution:.3g} apart: coarse against its range")
+            yield f"{name} has few levels, {channel.resolution:.3g} apart: coarse against its range"
         if not channel.unit and any(file.lower().endswith(".wav") for file in found.reading.files):
-            out.append(
-                f"{name} has no unit: a WAV file holds shares of full scale; give both, as --units {name}=125mm/s"
-            )
+            yield f"{name} has no unit: a WAV file holds shares of full scale; give both, as --units {name}=125mm/s"
         if channel.held is not None:
-            out.append(
-                f"{name} changes in every {in_digits(channel.held)} rows only: it is sampled slower than the file"
-            )
-    return out
+            yield f"{name} changes in every {in_digits(channel.held)} rows only: it is sampled slower than the file"
 
 
 def _listed(rows: Sequence[int]) -> str:
     return ", ".join(map(str, rows[:LISTED])) + (", ..." if len(rows) > LISTED else "")
 
 
-def _on_bad_samples(found: RecordInfo) -> list[str]:
-    out = []
+def _on_bad_samples(found: RecordInfo) -> Iterator[str]:
     for name, kinds in found.bad.items():
         for kind, rows in kinds.items():
             what = {"spikes": "spike" if len(rows) == 1 else "spikes", "stuck": "stuck samples"}
-            out.append(
+            yield (
                 f"{name}: {len(rows)} {what.get(kind, 'clipped samples')}, row{'s' * (len(rows) > 1)}"
                 f" {_listed(rows)}; discover leaves them out; {ADVICE[kind]}"
             )
     if 0 < found.looked_at < found.rows:
-        out.append(
-            f"spikes and stuck samples were looked for in the most suspect {found.looked_at} of {found.rows} rows"
-        )
-    return out
+        yield f"spikes and stuck samples were looked for in the most suspect {found.looked_at} of {found.rows} rows"

@@ -21,9 +21,8 @@ from bayeq.records.consistency import Frames, Relation, derivative_name, relate,
 from bayeq.records.findings import stated_gain
 from bayeq.records.record import with_samples
 
-# Channels are compared on at most this many rows, the middle ones. A faster record is first averaged over blocks of
-# rows, as many as leave this many to a period of the fastest channel: a block mean is a filter, alike for all channels,
-# that leaves a derivative a derivative.
+# Channels are compared on at most this many rows, the middle ones, of a faster record after block means with this many
+# to a period of the fastest channel: a filter that is alike for all leaves a derivative a derivative.
 ROWS = 16_384
 PER_PERIOD = 16.0
 
@@ -52,10 +51,9 @@ BROAD = 1.1
 # Noise may bring the frequency of a derivative this near to that of the motion, or below.
 NOT_SLOWER = 0.97
 
-# A channel is a state of first order if this share of its changes is explained by the channels themselves and their
-# products; of a coordinate of second order hardly any is, for its rate is a state of its own. Smooth channels, such as
-# those of a controller, are explained by sums of each other: of one state at least, products explain clearly more, that
-# is, they leave less by this factor.
+# A channel is a state of first order if the channels and their products explain this share of its changes; that of a
+# coordinate needs its rate. Smooth channels, as of a controller, are explained by sums of each other alone: for one
+# state at least products leave less by this factor.
 EXPLAINED = 0.8
 CLEARLY = 2.0
 MOST_STATES = 8
@@ -108,10 +106,7 @@ def short_record(records: Sequence[Record], channels: Mapping[str, ChannelInfo])
 
 
 def _even(record: Record) -> Record:
-    """Channels interpolated at even steps of time: what is between samples is a guess, but alike for all channels.
-
-    So are samples that are missing, in channels of which most are there.
-    """
+    """The record at even steps of time, interpolated alike in all channels, also where a few samples are missing."""
     step = record.dt
     if record.time is None or step is None:
         return record
@@ -127,12 +122,9 @@ def _even(record: Record) -> Record:
 
 
 def find_links(record: Record, names: Sequence[str]) -> list[Link]:
-    """Pairs of channels of which one is the first or second derivative of the other, the surest first.
-
-    The first 16 channels are compared; without even steps of time nothing is found.
-    """
-    frames = None if record.time is None else uniform_frames(record.time)
-    if frames is None or record.time is None:
+    """Pairs of channels of which one is the first or second derivative of the other, the surest first."""
+    frames = uniform_frames(record.time)
+    if frames is None:
         return []
     used = [name for name in names[:MOST_CHANNELS] if _is_whole(record[name])]
     rates = {name: _mean_frequency(record[name]) for name in used}
@@ -144,7 +136,7 @@ def find_links(record: Record, names: Sequence[str]) -> list[Link]:
             expected = stated_gain(record, p, q, order)
             if expected is None and p in record.units and q in record.units:  # no units of a motion and this derivative
                 continue
-            relation = relate(record.time, record[p], record[q], order, frames)
+            relation = relate(record[p], record[q], order, frames)
             if relation is not None and _is_derivative(relation, expected, rates[q] / rates[p], frames):
                 gain = relation.sign * relation.gain
                 link = Link(p, q, order, gain, relation.delay, relation.fit, expected)
@@ -159,18 +151,18 @@ def absolute(
 
     Each with that displacement and the base. Clearly more has to be explained than by either acceleration alone.
     """
-    frames = None if record.time is None else uniform_frames(record.time)
+    frames = uniform_frames(record.time)
     found: dict[str, tuple[str, str]] = {}
     usable = [[name for name in own if _is_whole(record[name])] for own in (displacements, accelerations, bases)]
     pairs = [(q, base) for q, base in product(*usable[1:]) if q != base]
-    if frames is None or record.time is None or len(usable[0]) * len(pairs) > MOST_PAIRS:
+    if frames is None or len(usable[0]) * len(pairs) > MOST_PAIRS:
         return found
     for p in usable[0]:
         for q, base in pairs:
             if record.units.get(q) != record.units.get(base):
                 continue
-            alone = [relate(record.time, record[p], record[one], 2, frames) for one in (q, base)]
-            both = relate(record.time, record[p], record[q] - record[base], 2, frames)
+            alone = [relate(record[p], record[one], 2, frames) for one in (q, base)]
+            both = relate(record[p], record[q] - record[base], 2, frames)
             expected = stated_gain(record, p, q, 2)
             left = [1.0 - one.fit for one in alone if one is not None]
             if both is None or both.sign < 0 or abs(both.delay) > MOST_DELAY * frames.dt:
@@ -218,7 +210,7 @@ def _doubt(relation: Relation, expected: float | None, frames: Frames) -> float:
 
 def correlations(record: Record, names: Sequence[str]) -> dict[frozenset[str], float]:
     """Of each two channels the largest correlation over all lags, without its sign; none without even time."""
-    if record.time is None or uniform_frames(record.time) is None:
+    if uniform_frames(record.time) is None:
         return {}
     length = 2 * record.n
     spectra = {name: np.fft.rfft(values, length) for name, values in _scaled(record, names[:MOST_CHANNELS]).items()}
@@ -237,10 +229,7 @@ def rough_channels(record: Record, names: Sequence[str]) -> set[str]:
 
 
 def first_order(record: Record, names: Sequence[str], others: Sequence[str]) -> dict[str, float]:
-    """Channels whose changes are explained by the channels themselves and by inputs, `others`, each with the share.
-
-    The record is a short one, with even steps of time.
-    """
+    """Channels whose changes they explain themselves, with inputs `others`, each with the share."""
     scaled = _scaled(record, (*names, *others))
     states = [name for name in names if name in scaled]
     if not states or record.time is None or record.n < LEAST_ROWS or len(scaled) > MOST_STATES:
@@ -264,11 +253,7 @@ def first_order(record: Record, names: Sequence[str], others: Sequence[str]) -> 
 
 
 def drivers(record: Record, chain: Sequence[str | None], candidates: Sequence[str]) -> dict[str, float]:
-    """Candidates that explain what the states of a chain leave of its motion, each with the share.
-
-    The chain is displacement, velocity and acceleration, one of the last two measured; the record is a short one, with
-    even steps of time.
-    """
+    """Candidates that explain what the states of a chain (x, v, a) leave of its motion, each with the share."""
     displacement, velocity, acceleration = chain
     states = [name for name in (displacement, velocity) if name is not None]
     scaled = _scaled(record, [*states, *filter(None, [acceleration]), *candidates])
@@ -309,7 +294,6 @@ def _scaled(record: Record, names: Sequence[str]) -> dict[str, Floats]:
 
 
 def _width(scaled: dict[str, Floats], states: Sequence[str]) -> int:
-    """Rows of a window."""
     peaks = [int(np.argmax(np.abs(np.fft.rfft(scaled[name]))[1:])) + 1 for name in states]
     return max(1, round(WINDOW * len(scaled[states[0]]) / max(peaks)))
 

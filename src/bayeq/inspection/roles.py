@@ -103,10 +103,7 @@ class Guess:
     questions: tuple[str, ...] = ()  # what the file leaves open, a sentence each
 
     def driven_by(self, shares: Mapping[str, float], alike: Alike) -> Guess:
-        """The same with channels that were undecided as inputs, for the share of the motion that each explains.
-
-        Of those that move alike one is the input, if it explains clearly more, or else it is a question which.
-        """
+        """The same with undecided channels as inputs, by the share of the motion that each explains."""
         reasons, questions = dict(self.reasons), list(self.questions)
         for name, share in shares.items():
             rivals = [
@@ -147,8 +144,8 @@ class Guess:
 def clues_of(units: Mapping[str, str]) -> dict[str, Clue]:
     """What the units and names of the channels of a record say.
 
-    What all names begin with is left out where it says nothing, F of rig_F beside rig_x, or is a letter before names of
-    other kinds. Names of a recorder's inputs, Voltage_0 and Voltage_1, say nothing at all.
+    What all names begin with is left out where it says nothing, as rig of rig_x and rig_F, or is a letter before names
+    of other kinds. Names of a recorder's inputs, Voltage_0 and Voltage_1, say nothing at all.
 
     Examples
     --------
@@ -272,9 +269,8 @@ def guess_roles(
 ) -> Guess:
     """Put channels that move together to chains and inputs.
 
-    By what units and names say (`clues`), what derives from what (`links`, the surest first), `first`: channels
-    whose changes the others explain, with the share, which are first-order states unless something else is known,
-    how much two channels are `alike`, the largest correlation over all lags, and which ones are `rough` as noise.
+    By `clues`, what units and names say; `links`, what derives from what, the surest first; `first`, channels that the
+    others explain as states of first order, with the share; how much two are `alike`; and which are `rough` as noise.
     """
     reasons: dict[str, str] = {}
     questions: list[str] = []

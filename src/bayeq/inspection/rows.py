@@ -1,13 +1,10 @@
-"""The rows of a file: time, experiments and gaps, and spikes, stuck and clipped stretches.
-
-Bad samples are suspected by a quick look at all rows; `find_bad_samples` decides.
-"""
+"""The rows of a file: time, experiments and gaps; suspects of bad samples, on which `find_bad_samples` decides."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -40,8 +37,7 @@ TRIAL_WORDS = ("trial", "run", "experiment", "exp", "test", "group", "segment", 
 # An experiment has at least this many rows: what changes more often is a signal.
 LEAST_ROWS = 20
 
-# A channel rests in a stretch of a period of its motion or more where it moves less than this share of what it usually
-# does; a motion goes on for at least this many such stretches.
+# A channel rests in a stretch of a period where it moves this share of the usual; a motion lasts this many stretches.
 REST, MOVES = 0.05, 4
 
 # Fewer rows do not show that a column rises steadily.
@@ -140,10 +136,7 @@ def _rises(values: Floats) -> bool:
 
 
 def _trial_column(record: Record, restarts: Ints, clock: Floats | None, others: set[str | None]) -> str | None:
-    """The column that numbers the experiments: whole numbers that change where time starts over or has a long gap.
-
-    One whose name says so may change elsewhere, or not at all.
-    """
+    """The column of whole numbers that change where time starts over or has a long gap, or whose name says so."""
     for name, values in record.channels.items():
         if name in others or not np.isfinite(values).all() or not (values == np.round(values)).all():
             continue
@@ -156,39 +149,27 @@ def _trial_column(record: Record, restarts: Ints, clock: Floats | None, others: 
         once = len(np.unique(values)) == len(starts)  # a number that comes back is a switch, not a count
         if not once or lengths.min() < LEAST_ROWS:
             continue
-        if named or (len(restarts) and set(restarts) <= set(starts)) or _at_gaps(clock, starts[1:]):
+        steps = np.zeros(record.n - 1) if clock is None else np.diff(clock)
+        at_gaps = bool((steps[starts[1:] - 1] > LONG_GAP * np.median(steps)).all())
+        if named or (len(restarts) and set(restarts) <= set(starts)) or at_gaps:
             return name
     return None
 
 
-def _at_gaps(clock: Floats | None, rows: Ints) -> bool:
-    if clock is None:
-        return False
-    steps = np.diff(clock)
-    return bool((steps[rows - 1] > LONG_GAP * np.median(steps)).all())
-
-
-def gaps_of(records: Sequence[Record]) -> list[Gap]:
+def gaps_of(records: Sequence[Record]) -> Iterator[Gap]:
     """Steps of time of more than 2.5 usual ones, in all records; rows are counted over all of them."""
-    out: list[Gap] = []
     first = 0
     for record in records:
         if record.time is not None and record.n > 2:
             steps = np.diff(record.time)
             usual = float(np.median(steps))
-            out += [
-                Gap(first + int(row) + 1, float(steps[row]), bool(steps[row] > LONG_GAP * usual))
-                for row in np.flatnonzero(steps > GAP * usual)
-            ]
+            for row in np.flatnonzero(steps > GAP * usual).tolist():
+                yield Gap(first + row + 1, float(steps[row]), bool(steps[row] > LONG_GAP * usual))
         first += record.n
-    return out
 
 
 def starts_from_rest(record: Record, names: Sequence[str], period: float) -> list[int]:
-    """Rows, counted from 1, from which channels move again after all of them rested, to within a period [s].
-
-    A motion after another one may be an experiment of its own.
-    """
+    """Rows, from 1, from which channels move after all rested for a period [s]: perhaps another experiment."""
     step = record.dt
     width = max(LEAST_ROWS, math.ceil(period / step)) if step else 0
     channels = [record[name] for name in names if np.isfinite(record[name]).all()]
@@ -208,9 +189,8 @@ def starts_from_rest(record: Record, names: Sequence[str], period: float) -> lis
 #: Rows that are bad, counted from 1, by channel and kind ("spikes", "stuck", "clipped").
 Bad = dict[str, dict[str, list[int]]]
 
-# Files of up to WHOLE rows and MANY channels are looked at whole. In larger ones windows around what is most suspect,
-# of MOST rows in all: a third difference, or a run of equal samples, beyond SUSPECT times the usual one. Beside a
-# window there are MARGIN more rows, for a sample is judged by those on both sides of it.
+# Files of up to WHOLE rows and MANY channels are looked at whole, of larger ones MOST rows: windows, with a margin by
+# which their ends are judged, around third differences or runs of equal samples beyond SUSPECT times the usual ones.
 WHOLE, MANY, MOST = 20_000, 16, 8_000
 WINDOW, MARGIN = 1_600, 200
 SUSPECT = 30.0
@@ -218,10 +198,7 @@ LONG_RUN = 10
 
 
 def find_bad(records: Sequence[Record], guess: Guess, names: Sequence[str]) -> tuple[Bad, int]:
-    """Bad samples of channels that move, and how many rows were searched for spikes and stuck stretches.
-
-    The records are experiments of one file; channels of a chain are judged together, all others alone.
-    """
+    """Bad samples of channels that move in a file's experiments, and how many rows were searched beside clipping."""
     found: Bad = {}
     total = sum(record.n for record in records)
     motion = {name for chain in guess.chains for name in chain}

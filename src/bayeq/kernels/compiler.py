@@ -94,15 +94,6 @@ def _options(function: Callable[..., Any]) -> dict[str, bool]:
     return {name: bool(getattr(function, name, False)) for name in ("reordered", "borrowing")}
 
 
-def _entry_dispatcher(function: Callable[..., Any]) -> Any:
-    """numba's dispatcher of a function that Python calls.
-
-    The GIL is released while it runs; NaN and infinities stay what they are (no ``fastmath=True``: checks for them must
-    work), and sums are in the order in which they are written, if the kernel does not allow another.
-    """
-    return numba.njit(**OPTIONS, fastmath=_allowed(function), pipeline_class=_EntryCompiler)(function)
-
-
 def inner_dispatcher(function: Callable[..., Any]) -> Any:
     """numba's dispatcher of a function that kernels call.
 
@@ -113,7 +104,6 @@ def inner_dispatcher(function: Callable[..., Any]) -> Any:
 
 
 def _allowed(function: Callable[..., Any]) -> set[str] | bool:
-    """LLVM's flags."""
     return {"reassoc", "contract"} if _options(function)["reordered"] else False
 
 
@@ -229,11 +219,14 @@ class _KernelCache(caching.FunctionCache):  # type: ignore[misc]
 
 
 def cached_dispatcher(function: Callable[..., Any], compiling: Callable[[], None]) -> Any:
-    """numba's dispatcher of a function: it compiles for the types that it is called with, or loads from the cache.
+    """numba's dispatcher of a function that Python calls: it compiles for the types that it is called with, or loads
+    from the cache.
 
-    `compiling` is called before it compiles.
+    `compiling` is called before it compiles. The GIL is released while it runs; NaN and infinities stay what they are
+    (no ``fastmath=True``: checks for them must work), and sums are in the order in which they are written, if the
+    kernel does not allow another.
     """
-    dispatcher = _entry_dispatcher(function)
+    dispatcher = numba.njit(**OPTIONS, fastmath=_allowed(function), pipeline_class=_EntryCompiler)(function)
     if hasattr(dispatcher, "_cache"):  # NUMBA_DISABLE_JIT gives the function itself
         # Where there is nowhere to write a cache (read-only installation and home), every process compiles.
         with suppress(RuntimeError):

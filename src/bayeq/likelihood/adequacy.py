@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.arrays import Floats
+from bayeq.likelihood.channels import Suspect, suspects_of
 from bayeq.likelihood.filter import run_filter
 from bayeq.likelihood.fit import State, Statistics, adjoints, maximised, of_inputs, solved
-from bayeq.likelihood.gains import Suspect, suspects_of
 from bayeq.likelihood.levels import Levels
 from bayeq.likelihood.model import Fitted, Task
 from bayeq.numerics.distributions import Z95, Shape, excess_of, incomplete_beta, shape_of
@@ -197,8 +197,9 @@ def _discrepancy(task: Task, state: State, value: float, c: int, interval: float
         p = chance_of(gain, _length(task, state, c))
     bend = -(log_likelihood(math.exp(STEP)) - 2.0 * value + log_likelihood(math.exp(-STEP))) / STEP**2
     factor = math.exp(0.5 * Z95 / math.sqrt(bend)) if bend > LEAST_BEND else math.inf
-    paths = [path[:, task.layout.discrepancy[c]] for path in state.paths]
-    return Discrepancy(size, size / factor, size * factor, p, _main_octave(paths, interval))
+    power, below = _spectrum([path[:, task.layout.discrepancy[c]] for path in state.paths])
+    highest = 0.5 / interval * 0.5 ** int(np.argmax(np.bincount(below, weights=power, minlength=1)))
+    return Discrepancy(size, size / factor, size * factor, p, (0.5 * highest, highest))
 
 
 def _innovations(
@@ -376,14 +377,6 @@ def _spectrum(pieces: Sequence[Floats]) -> tuple[Floats, NDArray[np.int64]]:
         power.append(np.abs(np.fft.rfft(values)[bins]) ** 2)
         below.append(np.minimum(np.floor(-np.log2(2.0 * bins / len(values))).astype(np.int64), LIKELIHOOD.octaves - 1))
     return np.concatenate(power), np.concatenate(below)
-
-
-def _main_octave(pieces: Sequence[Floats], interval: float) -> tuple[float, float]:
-    """The octave [Hz] with most of the power."""
-    power, below = _spectrum(pieces)
-    k = int(np.argmax(np.bincount(below, weights=power, minlength=1)))
-    highest = 0.5 / interval
-    return highest * 0.5 ** (k + 1), highest * 0.5**k
 
 
 def power_of(task: Task, fitted: Fitted) -> float:

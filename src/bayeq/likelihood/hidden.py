@@ -17,10 +17,11 @@ from bayeq.errors import InputError, some_of
 from bayeq.expressions import Binary, Evaluator, Expression, Symbol, Unknown, number
 from bayeq.expressions.implicit import product, total
 from bayeq.expressions.nodes import replaced
+from bayeq.inference.collapsed.slab import likeliest_by_rows
 from bayeq.inference.gram import Gram
 from bayeq.likelihood.fit import State
-from bayeq.likelihood.start import likeliest_by_rows
-from bayeq.states import Chain, Motion, Roles, with_columns, with_hidden
+from bayeq.states import Chain, Motion, Roles
+from bayeq.states.motion import with_columns, with_hidden
 
 # Values of all constants that are tried first, about; rows of the regression that each is judged by, at most.
 GRID, ROWS = 400, 4000
@@ -315,7 +316,7 @@ def _rates(motion: Motion, terms: Sequence[Expression], paths: Sequence[Mapping[
         changes.append(values[first + ahead] - values[first])
         sums.append(whole[first + ahead] - whole[first])
     gram = Gram.from_data(np.concatenate(sums), np.concatenate(changes), tuple(term.text for term in terms))
-    _, coef = likeliest_by_rows(gram, np.ones(len(terms), dtype=np.bool_))
+    _, coef = likeliest_by_rows(gram)
     return [D @ coef for D in columns]
 
 
@@ -377,7 +378,6 @@ def _explained(motion: Motion, terms: Sequence[Expression], allowed: Bools) -> f
 
 
 def _ranges(roles: Roles, motion: Motion) -> list[Unknown]:
-    """The constants of the laws, with ranges."""
     out: dict[str, Unknown] = {}
     for chain in roles.hidden:
         assert chain.law is not None

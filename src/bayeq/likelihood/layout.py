@@ -129,9 +129,7 @@ class Layout:
     @cached_property
     def drifts(self) -> Ints:
         """The drift of each channel, (M,), or (0,)."""
-        count = 0
-        if self.drift:
-            count = len(self.roles.measured) + len(self.roles.inputs)
+        count = len(self.roles.channels) if self.drift else 0
         return np.arange(count, dtype=np.int64) + self.motion + self.chains
 
     @cached_property

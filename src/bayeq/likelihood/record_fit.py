@@ -19,11 +19,10 @@ from bayeq.inference.gram import Gram, Standardised
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.adequacy import Adequacy, adequacy_of, power_of
 from bayeq.likelihood.block import Block, at_its_path
+from bayeq.likelihood.channels import Calibration, calibration_of, lags_of
 from bayeq.likelihood.courses import with_other_inputs
 from bayeq.likelihood.fit import Quadratic, State, candidates, of_stated, solved
-from bayeq.likelihood.gains import Calibration, calibration_of
 from bayeq.likelihood.hidden import law_constants, with_laws_of
-from bayeq.likelihood.lags import lags_of
 from bayeq.likelihood.layout import Stated
 from bayeq.likelihood.levels import LEAST_NOISE
 from bayeq.likelihood.model import Fitted, Task, finished, fit, from_all_levels, of_motion, with_model
@@ -35,7 +34,8 @@ from bayeq.likelihood.unequal import with_unequal_noise
 from bayeq.likelihood.unknowns import first_members, joint_covariance, settled, with_constants
 from bayeq.numerics.rk4 import Interpolation
 from bayeq.numerics.settings import LIKELIHOOD
-from bayeq.states import Motion, Sensors, with_paths
+from bayeq.states import Motion, Sensors
+from bayeq.states.motion import with_paths
 
 # Stretches in which long records are searched at first.
 STRETCHES = 4
@@ -219,6 +219,8 @@ class RecordFit:
     def _unshrunk(self) -> tuple[State, Floats]:
         """The same with constants given."""
         share, state = 1.0 if self.flat else LIKELIHOOD.unshrunk, self.fitted.state
+        if not self.own:  # the state is that of another model
+            state = with_model(self.task, self.fitted, self.fitted.model)
         task = replace(self.task, precision=share * self.task.precision, recent=[])
         included, q = np.flatnonzero(self.fitted.model), self.fitted.quadratic
         precision = task.precision[included]
@@ -229,11 +231,9 @@ class RecordFit:
             theta = covariance @ q.slope[included]
             moved = np.abs(theta - state.theta) / np.sqrt(np.diagonal(covariance))
             if self.more is None and moved.max(initial=0.0) > HARDLY:
-                try:
-                    state = fit(task, state, coarse=True).state
-                    return state, task.marginal(state).covariance / self.fitted.power
-                except np.linalg.LinAlgError:  # far from any motion
-                    state = self.fitted.state
+                with suppress(np.linalg.LinAlgError):  # far from any motion
+                    there = fit(task, state, coarse=True).state
+                    return there, task.marginal(there).covariance / self.fitted.power
             return replace(state, theta=theta), covariance
 
     @cached_property

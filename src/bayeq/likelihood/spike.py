@@ -21,8 +21,8 @@ from bayeq.arrays import Bools, Floats
 from bayeq.dictionary.families import count, monomials
 from bayeq.dictionary.ranges import constants_of, extent
 from bayeq.expressions import Expression, parse
-from bayeq.inference.bma import average_models, spike_slab_bma
-from bayeq.inference.collapsed.listing import ModelSet
+from bayeq.inference.bma import spike_slab_bma
+from bayeq.inference.collapsed.listing import ModelSet, list_models
 from bayeq.inference.collapsed.search import best_models, neighbours, scores_of
 from bayeq.inference.gram import Gram
 from bayeq.inference.posterior import Posterior
@@ -245,7 +245,7 @@ class Soft:
         """The models given sizes, with ln p(data, model | sizes) up to the same constant."""
         if tau not in self.sets:
             q, largest = self.quadratic(tau)
-            found = average_models(self.task.problem(q))
+            found = list_models(self.task.problem(q))
             finite = np.isfinite(found.log_posterior)  # terms that are one and the same to rounding may overflow
             if not finite.any():
                 raise np.linalg.LinAlgError("no model's evidence is finite")

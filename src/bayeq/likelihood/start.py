@@ -14,11 +14,8 @@ from numpy.typing import NDArray
 from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
 from bayeq.expressions import Expression
-from bayeq.inference.collapsed.problem import Problem
-from bayeq.inference.collapsed.search import best_models, neighbours
-from bayeq.inference.collapsed.slab import exact_posterior, learn_slab_variance, residual_scale
+from bayeq.inference.collapsed.slab import likeliest_by_rows
 from bayeq.inference.gram import Gram
-from bayeq.inference.prior import Prior
 from bayeq.likelihood.fit import State, adjoints, linearised, maximised
 from bayeq.likelihood.layout import NOTHING, Candidates, Course, Layout, Series, Stated
 from bayeq.likelihood.levels import LEAST_COURSE, LEAST_NOISE, Levels, Scales
@@ -203,20 +200,6 @@ def _by_rows(task: Task, empty: State, grams: Sequence[Gram], most: float = math
     return replace(found, chosen=chosen.take(np.flatnonzero(whole)), theta=found.theta[whole])
 
 
-def likeliest_by_rows(
-    gram: Gram, allowed: NDArray[np.bool_], most: float = math.inf
-) -> tuple[NDArray[np.bool_], Floats]:
-    """The likeliest model of a regression, cut down to `most` terms, and its coefficients, (P,) each."""
-    standard = gram.standardise(residual_scale(gram))
-    first = Prior(prior_inclusion=np.where(allowed, 0.1, 0.0))
-    prior = replace(first, slab_variance=learn_slab_variance(standard.gram, first))
-    problem = Problem.of(standard.gram, prior)
-    model = best_models(problem)[0][1]
-    while model.sum() > most:
-        model = next(move for move in neighbours(problem, model, math.inf) if move.enters is None).apply(model)
-    return model, exact_posterior(problem, model, None)[0] / standard.scale * standard.target_scale
-
-
 class _Input(NamedTuple):
     """An input: its smoothness, mean, corner and course, as in `Layout`; variances of noise and steps, as in `Levels`;
     its states in each record."""
@@ -255,7 +238,6 @@ def with_courses(motion: Motion, task: Task, fitted: Fitted, k: int) -> Iterator
 
 
 def _inputs_of(state: State) -> list[_Input]:
-    """The inputs of a fit."""
     levels, layout = state.levels, state.levels.layout
     noise = levels.channels[layout.first_input :]
     paths = [
@@ -267,7 +249,6 @@ def _inputs_of(state: State) -> list[_Input]:
 
 
 def _with_others(motion: Motion, task: Task, state: State, inputs: Sequence[_Input]) -> tuple[Task, State]:
-    """The task and the fit with other inputs."""
     layout, levels = _with_inputs(task.layout, inputs), state.levels
     first = layout.before_inputs
     series = tuple(
@@ -393,7 +374,6 @@ def _input(name: str, pieces: Sequence[MotionRows], known: float | None, orders:
 
 
 def _spectrum(name: str, pieces: Sequence[MotionRows], mean: float) -> Spectrum:
-    """The spectrum of an input."""
     return mean_spectrum([rows.columns[name] - mean for rows in pieces])
 
 

@@ -10,6 +10,7 @@ fitted in its place, and the likeliest is kept.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -117,7 +118,8 @@ def with_constants(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fi
         for j in (active, *(j for j in members if j != active)):
             try:
                 other = first if j == active else settled(motion, *_instead(motion, *first, active, j))
-                score = _log_posterior(*other)
+                # ln p(data, model), constants integrated out
+                score = other[1].evidence + min([0.0, *_costs(*other).values()])
             except np.linalg.LinAlgError:
                 continue
             if score > max(found.values(), default=-math.inf):
@@ -152,6 +154,9 @@ def _elsewhere(motion: Motion, task: Task, fitted: Fitted, family: Sequence[int]
         return task, fitted
     here, *others = _on_gram(task, fitted, family, [now, *tried])
     least = BETTER + (here.score if here.score < here.fitted + MISLEADS else here.fitted)
+    # where the model lacks the terms, derivatives by their constants stand for them, and cost nothing
+    present = [one.model.reshape(task.layout.chains, -1)[:, list(family)].any() for one in others]
+    tried, others = list(itertools.compress(tried, present)), list(itertools.compress(others, present))
     peaks = [one for one in _peaks(tried, others) if one.score >= least]
     for node in sorted(peaks, key=lambda one: -one.score)[:PEAKS]:
         try:
@@ -167,8 +172,8 @@ def _elsewhere(motion: Motion, task: Task, fitted: Fitted, family: Sequence[int]
 
 def _peaks(tried: Sequence[Mapping[str, float]], nodes: Sequence[_Node]) -> list[_Node]:
     """Nodes that are likelier than those beside them, of one constant; of several the likeliest."""
-    if len(tried[0]) > 1:
-        return [max(nodes, key=lambda one: one.score)]
+    if not tried or len(tried[0]) > 1:
+        return sorted(nodes, key=lambda one: -one.score)[:1]
     order = sorted(range(len(nodes)), key=lambda k: next(iter(tried[k].values())))
     scores = np.concatenate([[-np.inf], [nodes[k].score for k in order], [-np.inf]])
     top = (scores[1:-1] >= scores[:-2]) & (scores[1:-1] >= scores[2:])
@@ -460,11 +465,6 @@ def _with_odds(task: Task, fitted: Fitted) -> Task:
         lost[:, j] = cost
     before = 0.0 if task.ranges is None else task.ranges
     return replace(task, log_odds=task.log_odds + lost.ravel() - before, ranges=lost.ravel())
-
-
-def _log_posterior(task: Task, fitted: Fitted) -> float:
-    """ln p(data, model), constants integrated out."""
-    return fitted.evidence + min([0.0, *_costs(task, fitted).values()])
 
 
 def _costs(task: Task, fitted: Fitted) -> dict[int, float]:

@@ -123,8 +123,6 @@ class _Point(NamedTuple):
 
 
 class _Box(NamedTuple):
-    """Bounds of the parameters."""
-
     lower: Floats
     upper: Floats
 

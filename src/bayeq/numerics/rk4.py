@@ -70,14 +70,13 @@ def interpolant(time: Floats, samples: Floats, kind: Interpolation) -> Floats:
     if len(time) < 2 or samples.shape[1] == 0 or kind == "hold":
         return out
     out[:-1, :, 1] = samples[1:]
-    steps = np.diff(time)
+    steps, rise = np.diff(time), np.diff(samples, axis=0)
     if kind == "band-limited" and np.ptp(steps) <= EVEN * steps.mean():
-        rise, finer = np.diff(samples, axis=0), _thirds(samples)
+        finer = _thirds(samples)
         first, second = finer[1::3] - samples[:-1] - rise / 3.0, finer[2::3] - samples[:-1] - rise / 1.5
         out[:-1, :, 2], out[:-1, :, 3] = 4.5 * (2.0 * first - second), 13.5 * (second - first)
     elif kind in ("cubic", "band-limited"):
-        h, rise = np.diff(time)[:, None], np.diff(samples, axis=0)
-        slopes = spline_slopes(time, samples)
+        h, slopes = steps[:, None], spline_slopes(time, samples)
         # what the slopes at both ends are steeper than the straight line
         start, end = h * slopes[:-1] - rise, h * slopes[1:] - rise
         out[:-1, :, 2], out[:-1, :, 3] = start, -(start + end)

@@ -23,11 +23,12 @@ def setting(default: T, about: str, rests_on: str = "choice", unit: str = "", cl
     return made
 
 
+# fmt: off
+
+
 @dataclass(frozen=True)
 class RecordSettings:
     """Gaps, times, and what is said of channels that contradict each other."""
-
-    # fmt: off
 
     longest_gap: float = setting(0.5, "A gap is bridged up to this share of a channel's shortest period, one over "
         "the frequency that `gap_power` of its power lies below: samples that near on either side still fix the wave "
@@ -47,7 +48,6 @@ class RecordSettings:
         "set on simulated records", "se")
     least_fit: float = setting(0.9, "Two channels are not a signal and its derivative where sign and delay explain a "
         "smaller share of the coherent signal.", "set on simulated records")
-    # fmt: on
 
 
 RECORDS = RecordSettings()
@@ -56,8 +56,6 @@ RECORDS = RecordSettings()
 @dataclass(frozen=True)
 class StateSettings:
     """Bad samples, computed channels, what is held out, and the smoother of a chain."""
-
-    # fmt: off
 
     spike: float = setting(6.0, "A sample is a spike where its leave-one-out error is larger: two Gaussian samples "
         "in 1e9 are; none of 4e5 was left out.", "`tests/test_bad_samples.py`", "sd", cliff=True)
@@ -90,7 +88,6 @@ class StateSettings:
     emerged_chance: float = setting(1e-3, "... and more than chance gives with this probability.", "`channels.csv`")
     hum_line: float = setting(30.0, "Hum is a bin of more power than this many medians of the bins on both sides: "
         "white noise makes such a bin once in 2^30.", "`tests/test_band.py`", "times")
-    # fmt: on
 
 
 STATES = StateSettings()
@@ -99,8 +96,6 @@ STATES = StateSettings()
 @dataclass(frozen=True)
 class LikelihoodSettings:
     """Priors, levels, the search over models, and the tests of its answer."""
-
-    # fmt: off
 
     most_candidates: int = setting(1000, "Candidates in all equations; of more, those that explain most are kept: of "
         "four channels and 4000 rows they take a minute.", cliff=True)
@@ -199,7 +194,6 @@ class LikelihoodSettings:
         "the power of the octave in which the input has least, while the motion becomes likelier: what its samples "
         "show is that of a convenient model of its course.", "`forces.csv`")
     octaves: int = setting(9, "Octaves below half the sampling rate that are tested.")
-    # fmt: on
 
 
 LIKELIHOOD = LikelihoodSettings()
@@ -208,8 +202,6 @@ LIKELIHOOD = LikelihoodSettings()
 @dataclass(frozen=True)
 class RegressionSettings:
     """Prior odds of terms, what correlated residuals are worth, and intervals."""
-
-    # fmt: off
 
     first_odds: float = setting(1.0, "Prior log odds of polynomial terms: this less `odds_per_degree` times the "
         "degree, and this of the constant. There are many more candidates of high degree; it matters at 30 % noise "
@@ -229,7 +221,6 @@ class RegressionSettings:
         "spectrum leaves room for this share of its standard deviation, which attenuates by 0.01 %.")
     mixture_mass: float = setting(0.999, "Intervals over models take the likeliest of them up to this share: a tail "
         "of 2.5 % hardly moves.")
-    # fmt: on
 
 
 REGRESSION = RegressionSettings()
@@ -239,8 +230,6 @@ REGRESSION = RegressionSettings()
 class InferenceSettings:
     """Listing of models, sampling in its place, and signs."""
 
-    # fmt: off
-
     most_selected: int = setting(30, "Unit of the noise prior with fewer than max(10, 0.1 n) spare rows: the "
         "residual of a forward selection of n/4 terms, at most this many; else the residual of all terms.",
         unit="terms", cliff=True)
@@ -249,7 +238,6 @@ class InferenceSettings:
     signs_contradicted: float = setting(math.log(100.0), "Data contradict known signs where the Bayes factor against "
         "these is larger: a warning; the search then goes by the weights with the signs.",
         "`tests/test_signs.py`", "nats")
-    # fmt: on
 
 
 INFERENCE = InferenceSettings()
@@ -258,8 +246,6 @@ INFERENCE = InferenceSettings()
 @dataclass(frozen=True)
 class SelectionSettings:
     """Nearly true laws, terms that are not determined, and motion that repeats itself."""
-
-    # fmt: off
 
     tolerance: float = setting(0.005, "Terms of a nearly true law are left out, one by one, while free runs are "
         "worse by no more, a share of the states' spread, or `tolerance=`; an equation is not determined where "
@@ -280,7 +266,6 @@ class SelectionSettings:
     not_noise: float = setting(1e-6, "... where power beside them has this chance.", "`tests/test_excitation.py`")
     transient: float = setting(0.03, "... and up to this share of a channel is beside the curve: a transient tells "
         "the candidates no better apart.", "`tests/test_excitation.py`")
-    # fmt: on
 
 
 SELECTION = SelectionSettings()
@@ -289,8 +274,6 @@ SELECTION = SelectionSettings()
 @dataclass(frozen=True)
 class EquationSettings:
     """Verdict, intervals and neighbours of the equation that is shown."""
-
-    # fmt: off
 
     least_r2: float = setting(0.5, "An equation that explains a smaller share of what stands above its target's "
         "noise is `none`: more is unexplained than explained.", cliff=True)
@@ -305,7 +288,6 @@ class EquationSettings:
     different: float = setting(0.2, "The interval over models is printed where its width or an end differs from the "
         "conditional one by a larger share of the width: an end that is this much too near leaves out 12 % in place "
         "of 2.5 %. Hoeting et al. (1999).", "literature; `tests/test_mixture.py`", cliff=True)
-    # fmt: on
 
 
 EQUATION = EquationSettings()
@@ -315,14 +297,11 @@ EQUATION = EquationSettings()
 class ForecastSettings:
     """Windows of runs that are compared."""
 
-    # fmt: off
-
     fallen: float = setting(math.exp(-1.0), "Windows of motion that nothing drives end where the autocorrelation has "
         "fallen to this.", "`tests/test_verdict.py`")
     returns: float = setting(3.0, "... where it does not come back above it within this, else after a period: Van "
         "der Pol's (mu 5) came back within 2, Roessler's within 3 (14 systems without noise, one record each).",
         "`tests/test_verdict.py`", "periods")
-    # fmt: on
 
 
 FORECAST = ForecastSettings()
@@ -331,8 +310,6 @@ FORECAST = ForecastSettings()
 @dataclass(frozen=True)
 class RefineSettings:
     """Which runs are believed, and which coefficients are accepted."""
-
-    # fmt: off
 
     lost: float = setting(0.5, "A run follows the record where it leaves less than this share of a channel's spread: "
         "out of step, least squares ends in a meaningless minimum.", "`refinement.csv`")
@@ -345,7 +322,6 @@ class RefineSettings:
         "worse.", "`refinement.csv`", "periods")
     worse_chance: float = setting(0.025, "... by a sign test at this level: better coefficients, too, run worse over "
         "half of the windows where both are close.", "`refinement.csv`")
-    # fmt: on
 
 
 REFINE = RefineSettings()
@@ -355,8 +331,6 @@ REFINE = RefineSettings()
 class PlanSettings:
     """Rivals, and the inputs that are planned."""
 
-    # fmt: off
-
     models_within: float = setting(12.0, "... without averaging, those one move and as far away.", unit="nats")
     most_rivals: int = setting(4, "Rivals within the odds asked for that are compared, each simulated under every "
         "design; without one the plan is for the coefficients.", unit="models", cliff=True)
@@ -364,7 +338,6 @@ class PlanSettings:
     power_above: float = setting(0.05, "... and this above: noise of the channel is spread there.")
     signed: float = setting(0.5, "An input has both signs where the smaller of its extremes is more than this share "
         "of the larger: the range is then even about zero. Extremes of 100 samples of noise are.")
-    # fmt: on
 
 
 PLAN = PlanSettings()
@@ -374,14 +347,11 @@ PLAN = PlanSettings()
 class StreamingSettings:
     """Stretches, blocks and lags."""
 
-    # fmt: off
-
     stretches: int = setting(20, "Stretches of 5,000 rows, spread evenly, that are looked at first. Of a million "
         "rows 15 of 15 coefficients were within 0.1 sd of those in memory, the furthest 0.07 off; twenty seconds.",
         "`long_records.csv`")
     near: float = setting(0.05, "A further pass is made where a noise level or a standard deviation moves by a "
         "larger share.", "`tests/test_streaming.py`")
-    # fmt: on
 
 
 STREAMING = StreamingSettings()

@@ -1,8 +1,4 @@
-"""``Columns``: what a file holds before it is a record; every reader returns one.
-
-`Headers` are the names of the columns in the three spellings by which they may be asked for; `Request` says which ones
-are asked for.
-"""
+"""``Columns``: what a file holds before it is a record; `Headers` name them, a `Request` says which are wanted."""
 
 from __future__ import annotations
 
@@ -11,10 +7,10 @@ import re
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayeq.arrays import Floats
 from bayeq.errors import DataWarning, FileFormatError, InputError, RecordError, UnknownNameError, WordsError, some_of
@@ -274,10 +270,7 @@ class Request:
         return replace(data, headers=new, values=[data.values[i] for i in rows], time=time)
 
     def each(self, paths: Sequence[str], where: str) -> list[Request]:
-        """This request for each of the arrays that ``[*]`` stands for; itself where no path has one.
-
-        `paths` are those of all arrays of the file, which messages call `where`.
-        """
+        """This request for each of the arrays that ``[*]`` stands for among the `paths` of a file; or itself."""
         starred = [p for p in (*(self.names or ()), self.time, self.group) if p is not None and STAR in p]
         numbers: dict[str, set[int]] = {}
         for path in starred:
@@ -313,22 +306,13 @@ RATE_NAMES = (
 )  # fmt: skip
 
 
-class Trial(NamedTuple):
-    """What a `Record` is made of."""
-
-    channels: dict[str, Floats]
-    time: Floats | None
-    units: dict[str, str]
-    name: str
-    begins: float | None
-
-
 def assemble(
     data: Columns, request: Request, units: Mapping[str, str] | None = None, name: str | None = None
-) -> list[Trial]:
-    """Columns, named as the request has it, as one record, or as one for each run of equal values of its group.
+) -> list[dict[str, Any]]:
+    """What a `Record` is made of, of columns that are named as the request has it.
 
-    `units` are those of columns, instead of the stated ones; `name` labels the records.
+    One for each run of equal values of the request's group. `units` are those of columns, instead of the stated ones;
+    `name` labels the records.
     """
     where, time, fs, group = data.headers.where, request.time, request.fs, request.group
     for doubt in data.doubts:
@@ -339,9 +323,7 @@ def assemble(
     gains: dict[int, float] = {}
     for key, unit in (units or {}).items():
         place = data.headers.find(key)
-        gain, known_units[place] = gain_and_unit(unit, known_units[place])
-        if gain != 1.0:
-            gains[place] = gain
+        gains[place], known_units[place] = gain_and_unit(unit, known_units[place])
     time_column = find_time(data, known_units, time, fs)
     group_column = None if group is None else data.headers.find(group)
     wanted = None
@@ -349,59 +331,59 @@ def assemble(
         wanted = {data.headers.find(c) for c in (*listed(request.columns or []), *request.channels)}
 
     n = len(data.values[0]) if data.values else 0
-    starts = [0]
-    if group_column is not None:
-        starts = trial_starts(data.values[group_column], n, _place(data, group_column))
-    stops = [*starts[1:], n]
-    if gains:
-        data = replace(data, values=[x * gains[i] if i in gains else x for i, x in enumerate(data.values)])
+    starts = [0] if group_column is None else trial_starts(data.values[group_column], n, _place(data, group_column))
+    values = [x * gains[i] if gains.get(i, 1.0) != 1.0 else x for i, x in enumerate(data.values)]
+    data = replace(data, values=values)
     seconds, kept_units = _time(data, time_column, known_units)
     begins = data.begins
-    if begins is None and time_column is not None and seconds is not None and len(seconds):
-        begins = _clock(data.values[time_column], seconds)
-    if seconds is not None and group is None and _ends_in_a_summary(seconds):
-        message = f"{_place(data, time_column)}: time goes back in row {n}, the last: it is left out; check the clock"
-        warnings.warn(message, DataWarning, stacklevel=3)
-        n, stops, seconds = n - 1, [n - 1], seconds[:-1]
-        data = replace(data, values=[values[:-1] for values in data.values])
     if seconds is not None:
-        again = check_time(seconds, _place(data, time_column), np.asarray(starts, dtype=np.intp), repeated=True)
+        assert time_column is not None
+        where_time = _place(data, time_column)
+        if begins is None and n:
+            begins = _clock(values[time_column], seconds)
+        kept = np.arange(n)
+        if group is None and _ends_in_a_summary(seconds):
+            message = f"{where_time}: time goes back in row {n}, the last: it is left out; check the clock"
+            warnings.warn(message, DataWarning, stacklevel=3)
+            kept = kept[:-1]
+        again = check_time(seconds[: len(kept)], where_time, np.asarray(starts, dtype=np.intp), repeated=True)
         if again.size:
-            _warn_of_repeated(again, _place(data, time_column))
-            kept = np.delete(np.arange(n), again)
-            seconds, data = seconds[kept], replace(data, values=[values[kept] for values in data.values])
-            starts = np.searchsorted(kept, starts).tolist()
-            stops = [*starts[1:], len(kept)]
+            rows = ", ".join(str(row + 1) for row in again[:2]) + (", ..." if len(again) > 2 else "")
+            counted = f"{len(again)} rows repeat times" if len(again) > 1 else "1 row repeats the time"
+            message = f"{where_time}: {counted} of the row before ({rows}): the first is kept; check the logger"
+            warnings.warn(message, DataWarning, stacklevel=3)
+            kept = np.delete(kept, again)
+        if len(kept) < n:
+            seconds, data = seconds[kept], replace(data, values=[one[kept] for one in values])
+            starts, n = np.searchsorted(kept, starts).tolist(), len(kept)
 
     step, step_column = (None, None) if seconds is not None else _stated_step(data, fs)
     channels: dict[str, Floats] = {}
-    for i, (column, values) in enumerate(zip(data.names, data.values, strict=True)):
+    for i, (column, samples) in enumerate(zip(data.names, data.values, strict=True)):
         if i not in (time_column, group_column) and (i != step_column if wanted is None else i in wanted):
-            channels[column] = values
+            channels[column] = samples
             if own := known_units[i]:
                 kept_units[column] = own
     if not channels:
         raise RecordError(f"{where}: no channels besides time; the columns are {', '.join(data.names)}")
 
     label = where if name is None else name
-    trials = []
-    for trial, (start, stop) in enumerate(zip(starts, stops, strict=True)):
-        rows = {column: values[start:stop] for column, values in channels.items()}
+    trials: list[dict[str, Any]] = []
+    for trial, (start, stop) in enumerate(pairwise([*starts, n])):
+        parts = {column: samples[start:stop] for column, samples in channels.items()}
         t = None if seconds is None else seconds[start:stop]
-        title = label if group is None else f"{label} [trial {trial}]"
         if t is None and fs is None and step is not None:
             t = data.start + step * np.arange(stop - start, dtype=np.float64)
-        trials.append(Trial(rows, time_from(rows, t, fs, where), kept_units, title, begins))
+        title = label if group is None else f"{label} [trial {trial}]"
+        about = {"units": kept_units, "name": title, "begins": begins}
+        trials.append({"channels": parts, "time": time_from(parts, t, fs, where), **about})
     return trials
 
 
 def find_time(
     data: Columns, units: Mapping[int, str | None], time: str | None = None, fs: float | None = None
 ) -> int | None:
-    """The column that is time: the one named, else by its name, else the first rising one whose unit is a time.
-
-    `units` are those of the columns; with a rate `fs` no column is time.
-    """
+    """The column that is time: the one named, else by its name, else the first rising one in a unit of time."""
     if fs is not None:
         return None
     if time is not None:
@@ -461,12 +443,5 @@ def _clock(raw: Floats, seconds: Floats) -> float | None:
     return float(raw[0] * min(SECONDS.values(), key=lambda one: abs(math.log(one / factor))))
 
 
-def _place(data: Columns, column: int | None) -> str:
-    return f"{data.headers.where}, column {data.headers.texts[column or 0] or data.names[column or 0]!r}"
-
-
-def _warn_of_repeated(rows: NDArray[np.intp], where: str) -> None:
-    listed = ", ".join(str(row + 1) for row in rows[:2]) + (", ..." if len(rows) > 2 else "")
-    counted = f"{len(rows)} rows repeat times" if len(rows) > 1 else "1 row repeats the time"
-    message = f"{where}: {counted} of the row before ({listed}): the first is kept; check the logger"
-    warnings.warn(message, DataWarning, stacklevel=4)
+def _place(data: Columns, column: int) -> str:
+    return f"{data.headers.where}, column {data.headers.texts[column] or data.names[column]!r}"

@@ -59,8 +59,7 @@ MOST_COHERENT = 0.9999
 MOST_DELAY = 32
 STEPS = 4
 
-# Of delays that fit this share of the best the one nearest to none is taken: motion of one frequency looks the same
-# after a period.
+# Of delays that fit this share of the best the least is taken: motion of one frequency looks the same after a period.
 AS_GOOD = 0.98
 
 # A force has the sign of the higher of two derivatives if its correlation with it, beside the others, is this.
@@ -73,6 +72,7 @@ class Frames(NamedTuple):
     starts: Ints  # first rows, (K,)
     length: int  # rows of each
     dt: float  # time step [s]
+    time: Floats  # of all rows [s]
 
 
 class Shift(NamedTuple):
@@ -99,15 +99,15 @@ class Relation(NamedTuple):
     weight: float  # information: the phase of the whole is known to 1/sqrt(weight) rad
 
 
-def uniform_frames(time: Floats) -> Frames | None:
-    """Frames of rows at even steps of time; None where there are too few."""
+def uniform_frames(time: Floats | None) -> Frames | None:
+    """Frames of rows at even steps of time; None where there are too few, or no time is known."""
+    if time is None or len(time) < SHORTEST:
+        return None
     n = len(time)
     length = SHORTEST
     while length < LONGEST and 2 * PART * length <= 1.5 * n:
         length *= 2
     steps = np.diff(time)
-    if not len(steps):
-        return None
     even = np.abs(steps / np.median(steps) - 1.0) <= RECORDS.jitter  # others end a frame
     dt = float(steps[even].mean())
     breaks = np.flatnonzero(~even) + 1
@@ -119,7 +119,7 @@ def uniform_frames(time: Floats) -> Frames | None:
         return None
     if len(starts) > MOST_FRAMES:
         starts = [starts[k] for k in np.linspace(0, len(starts) - 1, MOST_FRAMES).astype(int)]
-    return Frames(np.array(starts, dtype=np.int64), length, dt)
+    return Frames(np.array(starts, dtype=np.int64), length, dt, time)
 
 
 def _windows(frames: Frames, order: int) -> Floats:
@@ -151,13 +151,13 @@ def derivative_name(name: str, order: int) -> str:
     return f"d{name}/dt" if order == 1 else f"d{order}{name}/dt{order}"
 
 
-def relate(time: Floats, p: Floats, q: Floats, order: int, frames: Frames) -> Relation | None:
+def relate(p: Floats, q: Floats, order: int, frames: Frames) -> Relation | None:
     """Compare a channel q with the `order`-th derivative of p, neither constant; None if nothing can be compared."""
     # in units of their own, so that no power of them overflows
     size_p, size_q = float(np.ptp(p)), float(np.ptp(q))
     p, q = p / size_p, q / size_q
     # without the slowest motion, in which a shift of q hides; from both sides alike
-    motion, other = _detrended(time, p, 1 + order), _detrended(time, q, 1)
+    motion, other = (_detrended(frames.time, one, degree) for one, degree in ((p, 1 + order), (q, 1)))
     if any(np.abs(left).max() <= ROUNDING * np.abs(whole).max() for left, whole in ((motion, p), (other, q))):
         return None
     cross, power_a, power_b, omega, coherent = _spectra(motion, other, order, frames)
@@ -227,7 +227,6 @@ def _detrended(time: Floats, values: Floats, degree: int) -> Floats:
 
 
 def _smooth(values: Complexes) -> Complexes:
-    """Averages over neighbouring bins."""
     kernel = np.full(2 * SMOOTHING + 1, 1.0 / (2 * SMOOTHING + 1))
     return np.convolve(np.pad(values, SMOOTHING, mode="edge"), kernel, mode="valid")
 
@@ -256,10 +255,10 @@ def _align(phase: Floats, weight: Floats, omega: Floats, dt: float) -> tuple[int
     return sign, delay, sign * float(weight @ np.cos(phase + omega * delay))
 
 
-def goes_with(time: Floats, orders: tuple[int, int], p: Floats, q: Floats, force: Floats) -> bool:
+def goes_with(dt: float, orders: tuple[int, int], p: Floats, q: Floats, force: Floats) -> bool:
     """Whether q, the higher of two derivatives of these orders, clearly goes with a force beside spring and damper."""
-    x, v = (p, np.gradient(p, time)) if orders[0] == 0 else (np.cumsum(p - p.mean()), p)
-    a = q if orders[1] == 2 else np.gradient(q, time)
+    x, v = (p, np.gradient(p, dt)) if orders[0] == 0 else (np.cumsum(p - p.mean()), p)
+    a = q if orders[1] == 2 else np.gradient(q, dt)
     x, v, force, a = ((one - one.mean()) / (np.std(one) or 1.0) for one in (x, v, force, a))
     beside = np.stack([x, v, x**3], axis=1)
     force, a = (one - beside @ np.linalg.lstsq(beside, one, rcond=None)[0] for one in (force, a))
@@ -271,7 +270,7 @@ def shift_of(p: Floats, q: Floats, order: int, frames: Frames, gain: float, gain
 
     The standard error of the gain counts where the derivative has a mean, or a trend: that of a shaft that turns.
     """
-    some = Frames(frames.starts[:: OVERLAP // 2], frames.length, frames.dt)  # that overlap by half
+    some = frames._replace(starts=frames.starts[:: OVERLAP // 2])  # that overlap by half
     size, level = float(np.ptp(q)), float(q.mean())
     expected = _local_means(gain / size * p, order, some)
     means = _local_means((q - level) / size, 0, some) + level / size

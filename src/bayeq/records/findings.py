@@ -7,7 +7,7 @@ dropped and repeated samples are looked for in each. Nothing is changed: `record
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
@@ -36,9 +36,8 @@ NEAR = 0.02
 # Channels are exchanged where one gain differs from that of the units by more than this, and the other by less [ln].
 EXCHANGED, AS_STATED = math.log(2.0), math.log(1.1)
 
-# Clipping: a run of this many equal samples at an extreme, in a channel whose samples are equal nowhere else; or this
-# many samples at the extreme, and this many times as many as at any of the next levels. A channel of few levels, or
-# one that rests at the extreme for most of the time, is switched and not clipped.
+# Clipping: a run of this many equal samples at an extreme, and equal ones nowhere else; or this many in all, this many
+# times those of any next level. A channel of few levels, or at its extreme for most of the time, is switched.
 LEAST_RUN = 3
 LEAST_CLIPPED = 10
 TIMES_NEXT = 5
@@ -46,17 +45,15 @@ NEXT_LEVELS = 5
 LEAST_LEVELS = 20
 MOST_AT_REST = 0.5
 
-# Dropped samples: steps of time that are multiples of the median within this share. Repeated ones: this many places,
-# in a channel whose usual steps are this many levels; one that repeats more than this share of its samples is held on
-# purpose.
+# Dropped samples: steps of time that are multiples of the median within this share. Repeated ones: in this many places,
+# where usual steps are this many levels; a channel that repeats more than this share is held on purpose.
 NEAR_MULTIPLE = 0.1
 LEAST_REPEATS = 3
 LEVELS_PER_STEP = 8.0
 MOST_REPEATED = 0.3
 
-# Straight lines: second differences of this share of the largest, or as many levels as rounding makes of none. Bends
-# between them: at least this many, in fewer than this share of the rows, this many times larger; they lie evenly and
-# differ.
+# Straight lines: second differences of this share of the largest, or of as many levels as rounding makes. Bends between
+# them, at even places and unlike: at least this many, in fewer than this share of rows, this many times larger.
 STRAIGHT, ROUNDED, LEAST_BENDS, MOST_BENT, BENT = 1e-3, 2.01, 20, 0.6, 10.0
 
 # Steps of time [s] from which on they may be milliseconds without a unit, of motion of less rows a period than this.
@@ -146,7 +143,8 @@ def check_record(
             clipped = _clipped(name, record[name], shut=name in inputs)
             found += clipped or _repeated(name, record[name], shut=name in inputs)
             found += () if name in inputs else _interpolated(record, name)
-    return found + _again(record, [name for name in dict.fromkeys((*names, *inputs)) if whole[name]])
+    found += _again(record, [name for name in dict.fromkeys((*names, *inputs)) if whole[name]])
+    return found
 
 
 def check_messages(
@@ -204,9 +202,7 @@ def without_copies(records: Sequence[Record], names: Sequence[str]) -> tuple[lis
 def _kinematics(record: Record, chain: Sequence[str | None], inputs: Sequence[str]) -> list[Finding]:
     """Offsets, delays, signs and gains within a chain."""
     measured = [(order, name) for order, name in enumerate(chain) if name is not None]
-    if record.time is None or len(measured) < 2:
-        return []
-    frames = uniform_frames(record.time)
+    frames = uniform_frames(record.time) if len(measured) > 1 else None
     if frames is None:
         return []
     found: list[Finding] = []
@@ -214,7 +210,7 @@ def _kinematics(record: Record, chain: Sequence[str | None], inputs: Sequence[st
     for (low, p), (high, q) in pairwise(measured):
         if not (np.ptp(record[p]) > 0.0 and np.ptp(record[q]) > 0.0):
             return found
-        link = relate(record.time, record[p], record[q], high - low, frames)
+        link = relate(record[p], record[q], high - low, frames)
         if link is None:
             return found
         found += _exchanged(record, p, q, high - low, link, frames)
@@ -227,7 +223,7 @@ def _kinematics(record: Record, chain: Sequence[str | None], inputs: Sequence[st
             )
             return [*found, Finding("inconsistent", (q, p), message, link.fit)]
         links.append(link)
-    found += _signs(record, measured, links, inputs)
+    found += _signs(record, measured, links, frames.dt, inputs)
     found += _gains(record, measured, links)
     found += _delays(measured, links, frames.dt)
     for ((low, p), (high, q)), link in zip(pairwise(measured), links, strict=True):
@@ -235,20 +231,20 @@ def _kinematics(record: Record, chain: Sequence[str | None], inputs: Sequence[st
     return found
 
 
-def _exchanged(record: Record, p: str, q: str, order: int, link: Relation, frames: Frames) -> list[Finding]:
+def _exchanged(record: Record, p: str, q: str, order: int, link: Relation, frames: Frames) -> Iterator[Finding]:
     """Whether p is the derivative of q, in the units of the other each, where q is not that of p."""
     stated = stated_gain(record, p, q, order) or 1.0
     as_said = link.fit >= RECORDS.least_fit and abs(math.log(link.gain / stated)) < EXCHANGED
-    if record.time is None or as_said or counts_rows(record):
-        return []
-    back = relate(record.time, record[q], record[p], order, frames)
+    if as_said or counts_rows(record):
+        return
+    back = relate(record[q], record[p], order, frames)
     if back is None or back.fit < RECORDS.least_fit or back.sign < 0 or abs(math.log(back.gain / stated)) > AS_STATED:
-        return []
+        return
     if back.least_gain * link.most_gain < link.least_gain * back.most_gain:  # the gain is less the same
-        return []
+        return
     what = f"the {'second ' * (order == 2)}derivative of {q}"
     message = f"{p} is {in_digits(back.gain, 3)} times {what}: are the columns exchanged?"
-    return [Finding("exchanged", (p, q), message, back.gain)]
+    yield Finding("exchanged", (p, q), message, back.gain)
 
 
 class _Odd(NamedTuple):
@@ -289,34 +285,30 @@ def _odd_ones(
 
 
 def _signs(
-    record: Record, measured: Sequence[tuple[int, str]], links: Sequence[Relation], inputs: Sequence[str]
-) -> list[Finding]:
+    record: Record, measured: Sequence[tuple[int, str]], links: Sequence[Relation], dt: float, inputs: Sequence[str]
+) -> Iterator[Finding]:
     signs = np.cumprod([1, *(link.sign for link in links)])
     si = [in_si(parse_unit(record.units.get(name, ""))) for name in inputs]
     by_force = len(inputs) == 1 and not (si[0] and {"m", "s"} <= set(si[0][1]))  # what a base does is no force
     highest = len(links) == 1 and links[0].sign < 0 and by_force
-    if highest and record.time is not None:
+    if highest:
         (low, p), (high, q) = measured
-        highest = goes_with(record.time, (low, high), record[p], record[q], record[inputs[0]])
-    return [
-        Finding(
-            "sign",
-            odd.channels,
-            f"{odd.channels[0]} has the opposite sign of {odd.against}: reverse it (--scale {odd.channels[0]}=-1)",
-            -1.0,
-        )
-        for odd in _odd_ones(measured, np.diff(signs).tolist(), [0.0] * len(links), 0.0, highest)
-    ]
+        highest = goes_with(dt, (low, high), record[p], record[q], record[inputs[0]])
+    for odd in _odd_ones(measured, np.diff(signs).tolist(), [0.0] * len(links), 0.0, highest):
+        name = odd.channels[0]
+        message = f"{name} has the opposite sign of {odd.against}: reverse it (--scale {name}=-1)"
+        yield Finding("sign", odd.channels, message, -1.0)
 
 
-def _gains(record: Record, measured: Sequence[tuple[int, str]], links: Sequence[Relation]) -> list[Finding]:
+def _gains(record: Record, measured: Sequence[tuple[int, str]], links: Sequence[Relation]) -> Iterator[Finding]:
     # what the units say: x in mm makes v in m/s a thousandth of dx/dt
     stated = [stated_gain(record, p, q, high - low) or 1.0 for (low, p), (high, q) in pairwise(measured)]
     if counts_rows(record):
         (low, p), (high, q) = measured[:2]
         rate = (links[0].gain / stated[0]) ** (1.0 / (high - low))
         message = f"{p} and {q} go together at {rate:.4g} samples per second, if their units do: give the rate"
-        return [Finding("gain", (q, p), message, links[0].gain)]
+        yield Finding("gain", (q, p), message, links[0].gain)
+        return
     steps = [math.log(link.gain / expected) for link, expected in zip(links, stated, strict=True)]
     errors = [_undecided(link) for link in links]
     # what a wrong rate makes of derivatives: the first is a factor of its own, the second the square of that
@@ -326,17 +318,17 @@ def _gains(record: Record, measured: Sequence[tuple[int, str]], links: Sequence[
         names = " and ".join(name for _, name in measured[1:])
         rate = (record.fs or 1.0) * math.exp(off)
         message = f"{names} are derivatives of {measured[0][1]} at {rate:.4g} rows per second: check the rate"
-        return [Finding("clock", tuple(name for _, name in measured), message, rate)]
-    found = []
+        yield Finding("clock", tuple(name for _, name in measured), message, rate)
+        return
     for odd in _odd_ones(measured, steps, errors, math.log(RECORDS.least_gain)):
-        between = stated[min(odd.k, odd.other) : max(odd.k, odd.other)]
-        expected = math.prod(between) ** (1 if odd.k > odd.other else -1)
+        expected = math.prod(stated[: odd.k]) / math.prod(stated[: odd.other])
         gain = math.exp(odd.difference) * expected
         by_unit = "" if expected == 1.0 else f", by units {expected:.4g}"
-        hint = _unit_hint(math.exp(odd.difference))
+        of_units = (meaning for factor, meaning in UNIT_GAINS if abs(abs(odd.difference) - math.log(factor)) < NEAR)
+        mistake = next(of_units, None)
+        hint = f"that is about {mistake}; check its unit" if mistake else "check calibration, unit and filter"
         message = f"{odd.channels[0]} is {gain:.4g} times {odd.against}{by_unit}: {hint}"
-        found.append(Finding("gain", odd.channels, message, gain))
-    return found
+        yield Finding("gain", odd.channels, message, gain)
 
 
 def _undecided(link: Relation) -> float:
@@ -350,16 +342,8 @@ def stated_gain(record: Record, p: str, q: str, order: int) -> float | None:
     return derivative_ratio(units[p], units[q], order) if p in units and q in units else None
 
 
-def _unit_hint(gain: float) -> str:
-    for factor, meaning in UNIT_GAINS:
-        if min(abs(math.log(gain / factor)), abs(math.log(gain * factor))) < NEAR:
-            return f"that is about {meaning}; check its unit"
-    return "check calibration, unit and filter"
-
-
-def _delays(measured: Sequence[tuple[int, str]], links: Sequence[Relation], dt: float) -> list[Finding]:
+def _delays(measured: Sequence[tuple[int, str]], links: Sequence[Relation], dt: float) -> Iterator[Finding]:
     steps, errors = [link.delay for link in links], [RECORDS.significant * link.delay_error for link in links]
-    found = []
     for odd in _odd_ones(measured, steps, errors, RECORDS.least_delay * dt):
         name, delay = odd.channels[0], odd.difference
         rows = f"{in_digits(abs(delay) / dt)} rows"
@@ -367,97 +351,88 @@ def _delays(measured: Sequence[tuple[int, str]], links: Sequence[Relation], dt: 
             f"{name} {'lags behind' if delay > 0 else 'is ahead of'} {odd.against} by {rows}:"
             f" use --lag-sd, or bayeq.correct_delay(record, {name!r}, {delay:.3g})"
         )
-        found.append(Finding("delay", odd.channels, message, delay))
-    return found
+        yield Finding("delay", odd.channels, message, delay)
 
 
-def _shifts(record: Record, p: str, q: str, order: int, link: Relation, frames: Frames) -> list[Finding]:
-    """Offset and drift of a channel against the derivative of the one below it.
-
-    The gain is the stated one if the measured one may be that: in an angle of many turns the noise of a measured gain
-    would be an offset.
-    """
-    assert record.time is not None
+def _shifts(record: Record, p: str, q: str, order: int, link: Relation, frames: Frames) -> Iterator[Finding]:
+    """Offset and drift against the derivative of the channel below, by the stated gain if it may be, without noise."""
     stated = stated_gain(record, p, q, order) or 1.0
     if abs(math.log(link.gain / stated)) <= max(math.log(RECORDS.least_gain), _undecided(link)):
         gain, gain_error = stated, 0.0
     else:
         gain, gain_error = link.gain, link.gain * _undecided(link) / RECORDS.significant
     shift = shift_of(record[p], record[q], order, frames, link.sign * gain, gain_error)
-    spread, span = float(np.std(record[q])), float(record.time[-1] - record.time[0])
+    spread, span = float(np.std(record[q])), float(frames.time[-1] - frames.time[0])
     unit = f" {record.units[q]}" if q in record.units else ""
     what = derivative_name(p, order)
     significant = t_quantile(shift.freedom, RECORDS.significant)
-    found = []
     if abs(shift.offset_t) > significant and abs(shift.offset) > RECORDS.least_offset * spread:
         much = f"{in_digits(shift.offset, 3)}{unit} ({in_digits(100.0 * abs(shift.offset) / spread)} %)"
         message = f"{q} is off {what} by {much}: use --remove-offset {q}={shift.offset:.4g}"
-        found.append(Finding("offset", (q, p), message, shift.offset))
+        yield Finding("offset", (q, p), message, shift.offset)
     if abs(shift.drift_t) > significant and abs(shift.drift) * span > 2.0 * RECORDS.least_offset * spread:
         message = (
             f"{q} drifts by {in_digits(shift.drift * span, 3)}{unit}:"
             f" use bayeq.remove_offset(record, {q!r}, {shift.offset:.3g}, drift={shift.drift:.3g})"
         )
-        found.append(Finding("drift", (q, p), message, shift.drift))
-    return found
+        yield Finding("drift", (q, p), message, shift.drift)
 
 
-def _moved_off(record: Record, name: str) -> list[Finding]:
+def _moved_off(record: Record, name: str) -> Iterator[Finding]:
     """A mean of an acceleration that would change the velocity by far more than the rest of it does."""
     values, step, mean = record[name], record.dt, float(record[name].mean())
     if step is None or record.n < LEAST_ROWS_TO_CHECK:
-        return []
+        return
     swing = float(np.ptp(np.cumsum(values - mean))) * step
     if not abs(mean) * record.n * step > MOVED_OFF * swing:
-        return []
-    message = (
-        f"{name} has a mean of {in_digits(mean, 3)}: unless it moves away with it, take it out (--remove-offset {name})"
-    )
-    return [Finding("offset", (name,), message, mean)]
+        return
+    off = f"{name} has a mean of {in_digits(mean, 3)}"
+    message = f"{off}: unless it moves away with it, take it out (--remove-offset {name})"
+    yield Finding("offset", (name,), message, mean)
 
 
 # --- samples ---------------------------------------------------------------------------------------------------------
 
 
-def _dropped(record: Record, name: str) -> list[Finding]:
+def _dropped(record: Record, name: str) -> Iterator[Finding]:
     """Steps of time that are whole multiples of the usual one."""
     if record.time is None or record.n < LEAST_ROWS_TO_CHECK:
-        return []
+        return
     steps = np.diff(record.time)
     ratio = steps / np.median(steps)
     whole = np.round(ratio)
     even = np.abs(ratio - whole) <= NEAR_MULTIPLE
     gaps = even & (whole >= 2)
     if not gaps.any() or not (even & (whole == 1)).sum() >= 0.5 * len(steps) or not even.all():
-        return []
+        return
     missing = int(whole[gaps].sum() - gaps.sum())
     first = int(np.flatnonzero(gaps)[0])
     message = (
         f"{missing} sample{'s are' if missing > 1 else ' is'} missing: {int(gaps.sum())} of {len(steps)} steps are"
         f" multiples of {np.median(steps):.4g} s, first after row {first + 1}; check the logger"
     )
-    return [Finding("dropped", (name,), message, float(missing))]
+    yield Finding("dropped", (name,), message, float(missing))
 
 
-def _clock(record: Record, name: str) -> list[Finding]:
+def _clock(record: Record, name: str) -> Iterator[Finding]:
     """Times that say no unit and look like milliseconds: long steps, and a motion of many rows a period."""
     step, values = record.dt, record[name]
     if step is None or step < LEAST_STEP or "t" in record.units or not np.isfinite(values).all():
-        return []
+        return
     values = values / (float(np.abs(values).max()) or 1.0)  # squares of huge numbers are infinite
     spread, steps = float(np.std(values)), float(np.std(np.diff(values)))
     rows = 2.0 * math.pi * spread / steps if steps > 0.0 else math.inf
     if not rows < MOST_ROWS_A_PERIOD:
-        return []
+        return
     period = f"{in_digits(rows * step)} s"
     message = f"{name} has about {period} a period: if time is in ms, write it into its header, or --units COLUMN=ms"
-    return [Finding("clock", (name,), message, step)]
+    yield Finding("clock", (name,), message, step)
 
 
-def _again(record: Record, names: Sequence[str]) -> list[Finding]:
+def _again(record: Record, names: Sequence[str]) -> Iterator[Finding]:
     """The longest stretch of rows whose samples stand earlier in the record already."""
     if not names or record.n < 2 * LEAST_AGAIN:
-        return []
+        return
     _, first, of_row = np.unique(record[names[0]], return_index=True, return_inverse=True)
     earlier = first[of_row]
     same = np.all([record[name] == record[name][earlier] for name in names], axis=0)
@@ -467,13 +442,13 @@ def _again(record: Record, names: Sequence[str]) -> list[Finding]:
     lengths = np.where(lag[starts] > 0, lengths, 0)
     longest = int(np.argmax(lengths))
     if lengths[longest] < LEAST_AGAIN:
-        return []
+        return
     a, b = int(starts[longest]), int(starts[longest] + lengths[longest])
     shift = int(lag[a])
     message = (
         f"rows {a + 1} to {b} have the same samples as rows {a - shift + 1} to {b - shift}: leave them out (--rows)"
     )
-    return [Finding("again", tuple(names), message, float(b - a))]
+    yield Finding("again", tuple(names), message, float(b - a))
 
 
 def equal_runs(values: Floats | Bools) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -492,10 +467,7 @@ class Clipping(NamedTuple):
 
 
 def clipped_levels(values: Floats, shut: bool = False) -> list[Clipping]:
-    """Extremes that samples stay at more often than at the levels next to them.
-
-    What may be `shut`, as a valve or a heater, is not clipped at 0.
-    """
+    """Extremes that samples stay at more often than at the next levels; not 0 of what may be `shut`, as a valve."""
     starts, lengths = equal_runs(values)
     at_extremes = np.isin(values[starts], (values.min(), values.max()))
     if not (lengths[at_extremes] >= LEAST_RUN).any():  # most channels, which need not be sorted
@@ -537,19 +509,16 @@ def _clipped(name: str, values: Floats, shut: bool) -> list[Finding]:
     ]
 
 
-def _repeated(name: str, values: Floats, shut: bool) -> list[Finding]:
-    """Samples that repeat the one before, where steps on either side say that the channel was moving.
-
-    What may be `shut`, as a valve or a heater, repeats 0.
-    """
+def _repeated(name: str, values: Floats, shut: bool) -> Iterator[Finding]:
+    """Samples that repeat the one before in motion; not 0 of what may be `shut`, as a valve."""
     steps = np.abs(np.diff(values))
     if np.count_nonzero(steps == 0.0) > MOST_REPEATED * len(steps) or not steps.any():
-        return []
+        return
     # a channel of coarse levels stands still at its turning points: its usual steps must be many levels
     level = float(steps[steps > 0.0].min())
     moving = 0.5 * float(np.median(steps))
     if moving < LEVELS_PER_STEP * level:
-        return []
+        return
     starts, lengths = equal_runs(values)
     inner = (lengths > 1) & (starts > 0) & (starts + lengths < len(values)) & ~(shut & (values[starts] == 0.0))
     starts, lengths = starts[inner], lengths[inner]
@@ -558,43 +527,40 @@ def _repeated(name: str, values: Floats, shut: bool) -> list[Finding]:
     small = (steps > 0.0) & (steps <= (NEXT_LEVELS + 0.5) * level)
     chance = np.count_nonzero(small[1:-1] & (steps[:-2] > moving) & (steps[2:] > moving)) / (2 * NEXT_LEVELS)
     if np.count_nonzero(sudden) < LEAST_REPEATS + chance + 5.0 * math.sqrt(chance):
-        return []
+        return
     count = int(np.sum(lengths[sudden] - 1))
     message = (
         f"{name} repeats its last value {count} times in motion, first in row {int(starts[sudden][0]) + 2}:"
         " samples were lost; leave them out"
     )
-    return [Finding("repeated", (name,), message, float(count))]
+    yield Finding("repeated", (name,), message, float(count))
 
 
-def _interpolated(record: Record, name: str) -> list[Finding]:
-    """A channel that is straight between samples that lie evenly.
-
-    Of a channel of levels second differences are none by chance, in no order; those of a triangle are all the same.
-    """
+def _interpolated(record: Record, name: str) -> Iterator[Finding]:
+    """A channel that is straight between samples that lie evenly, and bends there unlike a triangle."""
     values = record[name]
     bends = np.diff(values, 2)
     largest = float(np.abs(bends).max())
     if np.count_nonzero(np.abs(bends) > largest / BENT) >= MOST_BENT * len(bends) or not largest > 0.0:
-        return []  # most channels
+        return  # most channels
     if not record.is_uniform():
-        return []
+        return
     straight = max(STRAIGHT * largest, ROUNDED * float(np.diff(np.unique(values)).min()))
     rows = np.flatnonzero(np.abs(bends) > straight)
     if not len(rows) < MOST_BENT * len(bends):
-        return []
+        return
     # a bend between two samples shows in both
     groups = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
     if len(groups) < LEAST_BENDS or max(map(len, groups)) > 2:
-        return []
+        return
     sizes, places = np.abs([bends[g].sum() for g in groups]), np.array([g.mean() for g in groups])
     if float(np.median(sizes)) < BENT * straight or float(np.std(sizes)) < 0.1 * float(sizes.mean()):
-        return []
+        return
     numbers = np.append(0.0, np.cumsum(np.round(np.diff(places) / np.median(np.diff(places)))))
     every, first = np.polyfit(numbers, places, 1)
     if float(np.abs(places - first - every * numbers).max()) > 1.0:
-        return []
+        return
     rate = "" if record.fs is None else f" from {record.fs / every:.4g} Hz"
     what = f"{name} is straight over every {in_digits(every, 3)} samples"
     message = f"{what}: it was interpolated{rate}; give the samples as measured"
-    return [Finding("interpolated", (name,), message, float(every))]
+    yield Finding("interpolated", (name,), message, float(every))

@@ -35,8 +35,7 @@ FileState = tuple[int, int]
 def replacing(path: Path) -> Iterator[Path]:
     """A path to write to; what is written there takes the place of `path` at the end, if nothing went wrong.
 
-    An interrupted write leaves what was there before. What is not a regular file (a pipe, a device) is written
-    directly. An OSError that names `path` says that the file cannot be written.
+    What is not a regular file (a pipe, a device) is written directly. An OSError names `path`.
 
     Examples
     --------
@@ -216,9 +215,7 @@ def read(
     starred = any(STAR in name for name in (*(request.names or ()), time or ""))
     for k, (part, data) in enumerate(pieces):
         label = f"{path.name} [{k}]" if starred else path.name if sheet is None else f"{path.name}[{sheet}]"
-        records.extend(
-            Record(*trial[:4], begins=trial.begins) for trial in assemble(part.renamed(data), part, units, label)
-        )
+        records.extend(Record(**trial) for trial in assemble(part.renamed(data), part, units, label))
     if rows is not None:
         records = [rows_of(record, rows) for record in records]
     return records if starred or group is not None else records[0]
@@ -306,14 +303,9 @@ def near_files(path: Path) -> str:
 
 
 def as_records(source: Any, t: Any = None) -> list[Record]:
-    """One record or several, from what `as_record` takes or a sequence of such; `t` is one for all.
-
-    An InputError says that there is no record, or something that cannot be one.
-    """
-    if isinstance(source, Sequence) and not isinstance(source, (str, bytes)) and not _is_data(source):
-        records = [as_record(one, t) for one in source]
-    else:
-        records = [as_record(source, t)]
+    """One record or several, of what `as_record` takes or a sequence of such; `t` is one for all."""
+    several = isinstance(source, Sequence) and not isinstance(source, (str, bytes)) and not _is_data(source)
+    records = [as_record(one, t) for one in (source if several else [source])]
     if not records:
         raise InputError("no Record is given")
     return records
@@ -371,7 +363,7 @@ def _from_mapping(source: Mapping[Any, Any], t: Any) -> Record:
     headers = Headers.parse(keys, "arrays")
     data = Columns.build(headers, lambda i: without_mask(source[keys[i]]))
     if t is None or isinstance(t, str):
-        return Record(*assemble(data, Request(time=t), name="")[0][:4])
+        return Record(**assemble(data, Request(time=t), name="")[0])
     return Record(dict(zip(data.names, data.values, strict=True)), np.asarray(t), data.headers.stated_units())
 
 

@@ -48,10 +48,7 @@ _UNIT = re.compile(r"^(?P<name>.*?)\s*(?:\[(?P<square>[^\[\]]*)\]|\((?P<round>[^
 
 
 def clean_name(header: str, position: int = 1) -> tuple[str, str | None]:
-    """Turn a column header into a channel name and the unit that stood in brackets at its end, or None.
-
-    The name is a valid identifier, neither a keyword nor a function of the term language. The column's place, counted
-    from 1, names one without a header.
+    """A column header as a name that terms can use, by its place if it is empty, and the unit in brackets at its end.
 
     Examples
     --------
@@ -242,9 +239,7 @@ def unit_in_name(header: str) -> str | None:
 
 
 def require_unit(text: str, where: str) -> None:
-    """Check that a unit is made of symbols that measurements are labelled with.
-
-    An InputError names what gave it, `where`, and offers the nearest symbols that are known.
+    """Check that a unit is made of known symbols; the InputError begins with `where`, and offers the nearest ones.
 
     Examples
     --------
@@ -259,9 +254,7 @@ def require_unit(text: str, where: str) -> None:
 
 
 def gain_and_unit(text: str, own: str | None = None) -> tuple[float, str | None]:
-    """A gain and the unit behind it; a number alone is the gain of a channel that keeps its `own` unit.
-
-    An InputError says that a gain is 0, or beyond floating point.
+    """A gain other than 0 and the unit behind it; a number alone is the gain of a channel that keeps its `own` unit.
 
     Examples
     --------
@@ -327,9 +320,7 @@ def multiply_units(unit: Unit, other: Unit, power: Fraction | int = 1) -> Unit:
 
 
 def derivative_ratio(below: str, above: str, order: int) -> float | None:
-    """How large a channel is against the derivative by seconds of another, for their units alone.
-
-    None where the units are not known, or not those of a motion (`below`) and its derivative (`above`) of this order.
+    """How large a channel is against a derivative of another by their units; None of units that are no such pair.
 
     Examples
     --------

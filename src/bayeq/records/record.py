@@ -115,8 +115,7 @@ class Truth:
         Truth
             Of these rows.
         """
-        clean = {name: values[rows] for name, values in self.clean.items()}
-        return Truth(self.system, self.parameters, self.coefficients, clean, self.noise_sd)
+        return replace(self, clean={name: values[rows] for name, values in self.clean.items()})
 
 
 # Channels that a notebook shows.
@@ -272,8 +271,7 @@ class Record:
         Record('data frame': 2 rows at 10 Hz; x [m])
         """
         request = Request(columns, time=time, fs=fs)
-        trial = assemble(Columns.from_dataframe(df, request), request, units)[0]
-        return cls(*trial[:4], begins=trial.begins)
+        return cls(**assemble(Columns.from_dataframe(df, request), request, units)[0])
 
     def to_columns(self) -> Columns:
         """The columns by which the record is written: time first, then the channels."""

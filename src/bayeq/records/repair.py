@@ -20,8 +20,7 @@ BANDS = 4
 # A gap of more than one sample is a step of time longer than this many usual ones; single samples are always bridged.
 GAP = 2.5
 
-# Spectra are those of the stretches between gaps longer than this many usual steps: across them it would be the
-# spectrum of a straight line.
+# Spectra are those of stretches between gaps of this many usual steps, which would be filled with straight lines.
 LONG_GAP = 20.0
 
 # Shorter pieces are left out: nothing tells noise from motion in them.
@@ -131,10 +130,7 @@ def counts_rows(record: Record) -> bool:
 
 
 def with_row_numbers(records: Sequence[Record]) -> list[Record]:
-    """The records with row numbers as time, if none of them has a time; else as they are.
-
-    So are records whose rows follow no order, such as a table of single tests, and those with a channel called t.
-    """
+    """The records with row numbers as time, if none has a time, all are in some order, and no channel is called t."""
     if any(record.time is not None or "t" in record.channels or not _in_order(record) for record in records):
         return list(records)
     return [

@@ -67,11 +67,9 @@ class RecordStream:
         return grid(self.record.n)
 
     def of(self, channels: Sequence[str]) -> RecordStream:
-        """The stream of these channels, and of time; without what is known of a simulated record."""
         return RecordStream(with_only(self.record, channels))
 
     def read(self, start: int, stop: int) -> Record:
-        """Rows `start` to `stop`."""
         return self.record.take(slice(start, stop))
 
 
@@ -90,7 +88,6 @@ class FileStream:
         return self.rows.bounds
 
     def of(self, channels: Sequence[str]) -> FileStream:
-        """The stream of these channels, and of time."""
         paths = self.request.channels
         kept = {name: paths[name] for name in channels if name in paths}
         others = tuple(name for name in channels if name not in paths)
@@ -114,21 +111,18 @@ class FileStream:
             (trial,) = assemble(data, request, units, self.name)
         except RecordError as error:
             raise RecordError(f"{error} (of rows {start + 1:,} to {stop:,})") from None
-        time = trial.time
+        time = trial["time"]
         if time is not None and len(time) < stop - start:
             raise RecordError(
                 f"{self.name}: times are repeated in rows {start + 1:,} to {stop:,}; leave these rows out"
             )
         if request.fs is not None and time is not None and start:
-            time = time + start / request.fs
-        return Record(trial.channels, time, trial.units, trial.name)
+            trial["time"] = time + start / request.fs
+        return Record(**trial)
 
 
 def files_in(paths: Sequence[str | os.PathLike[str]], known: Collection[str], what: str) -> list[Path]:
-    """Files, and those of each folder with a `known` suffix, in the order of the numbers in their names.
-
-    A FileFormatError names a folder that has none; `what` says for what it was looked through.
-    """
+    """Files, and those of each folder with a `known` suffix in order of their numbers, or a FileFormatError."""
     out: list[Path] = []
     for one in map(Path, paths):
         if not one.is_dir():
@@ -163,10 +157,7 @@ def open_streams(
     units: Mapping[str, str] | None = None,
     channels: Mapping[str, str] | None = None,
 ) -> list[FileStream]:
-    """Files, and those of folders, as records that are read some rows at a time; the options are those of `bayeq.read`.
-
-    A FileFormatError names a file that is missing, or of a format of which rows cannot be read by themselves.
-    """
+    """Files, and those of folders, as records that are read some rows at a time; options are those of `bayeq.read`."""
     if any(STAR in path for path in (channels or {}).values()):
         raise InputError(f"a path with {STAR} is several records; name one of them, files are streamed one by one")
     request = Request(None, dict(channels or {}), time, None, fs)

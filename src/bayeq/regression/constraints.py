@@ -20,8 +20,6 @@ from bayeq.arrays import Bools, Floats
 from bayeq.errors import ExpressionError, InputError, UnknownNameError
 from bayeq.expressions import FUNCTIONS, Binary, Evaluator, Expression, Negate, Node, Unknown, parse
 from bayeq.expressions.functions import CONSTANTS
-from bayeq.inference.gram import Gram
-from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior, common, half_lines, limited, signs_of
 from bayeq.regression.equalities import Equalities, Linear
 from bayeq.states import Chain
@@ -88,14 +86,6 @@ class Constraints:
         kept = tuple(one for one in self.stated if allowed[one[0]])
         limits = np.where(allowed[:, None], self.limits, [-np.inf, np.inf])
         return replace(self, equalities=Equalities.solving(names, equations), limits=limits, stated=kept)
-
-    def reduce(self, gram: Gram) -> Gram:
-        """The regression that the equalities leave."""
-        return self.equalities.reduce(gram)
-
-    def expand(self, posterior: Posterior, gram: Gram) -> Posterior:
-        """The posterior of all coefficients from that of the reduced regression; `gram` is the one before."""
-        return self.equalities.expand(posterior, gram)
 
     def prior(self, prior: Prior, unit: Floats | float = 1.0) -> Prior:
         """A prior of all terms, with the limits, as one of the F terms that the equalities leave.

@@ -16,7 +16,7 @@ from bayeq.inference.gram import Gram
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
 from bayeq.inference.vb import spike_slab_vb
-from bayeq.numerics.distributions import Shape, shape_of
+from bayeq.numerics.distributions import shape_of
 from bayeq.numerics.settings import REGRESSION
 
 # Cross-correlations are looked at up to this many lags, and up to this share of the longest piece.
@@ -102,19 +102,23 @@ def inspect_residuals(pieces: Sequence[Floats], channels: Mapping[str, Sequence[
     """
     n = sum(len(piece) for piece in pieces)
     centred = _centred(pieces)
-    covariance = _correlation(centred, centred)
+    covariance = correlation(centred, centred)
+    memory = memory_of(covariance, n)
     if not covariance[0] > 0:
-        return Residuals(n, 0.0, float(n))
+        return Residuals(n, *memory)
     rho = covariance / covariance[0]
+    third, fourth = (max(1.0 + 2.0 * float(np.sum(rho[1:] ** k)), 0.1) for k in (3, 4))
+    return Residuals(
+        n, *memory, *shape_of(np.concatenate(centred), third, fourth), _strongest(centred, rho, channels or {})
+    )
+
+
+def memory_of(covariance: Floats, n: int) -> tuple[float, float]:
+    """Autocorrelation at lag 1 and effective sample size of n residuals, from sums of products at lags 0, 1, ..."""
+    rho = covariance / covariance[0] if covariance[0] > 0 else np.zeros(1)
     negative = np.flatnonzero(rho <= 0)
     last = int(negative[0]) if len(negative) else len(rho)
-    return Residuals(
-        n,
-        float(rho[1]) if len(rho) > 1 else 0.0,
-        float(n / (1.0 + 2.0 * rho[1:last].sum())),
-        *_shape(centred, rho),
-        _strongest(centred, rho, channels or {}),
-    )
+    return float(rho[1]) if len(rho) > 1 else 0.0, n / (1.0 + 2.0 * float(rho[1:last].sum()))
 
 
 def _centred(pieces: Sequence[Floats]) -> list[Floats]:
@@ -122,7 +126,7 @@ def _centred(pieces: Sequence[Floats]) -> list[Floats]:
     return [piece - mean for piece in pieces]
 
 
-def _correlation(first: Sequence[Floats], second: Sequence[Floats]) -> Floats:
+def correlation(first: Sequence[Floats], second: Sequence[Floats]) -> Floats:
     """Sum over pieces and rows of first(t + k) second(t), at k = 0, 1, ... below the length of the longest piece."""
     longest = max(len(piece) for piece in first)
     size = 1 << (2 * longest - 1).bit_length()
@@ -132,14 +136,9 @@ def _correlation(first: Sequence[Floats], second: Sequence[Floats]) -> Floats:
     return out
 
 
-def _shape(centred: Sequence[Floats], rho: Floats) -> Shape:
-    """The shape of residuals, beside that of a Gaussian process of these autocorrelations."""
-    return shape_of(np.concatenate(centred), *(max(1.0 + 2.0 * float(np.sum(rho[1:] ** k)), 0.1) for k in (3, 4)))
-
-
 def _both_ways(first: Sequence[Floats], second: Sequence[Floats], lags: int) -> Floats:
     """Sums of products at lags of the first behind the second, from -lags to lags."""
-    return np.concatenate([_correlation(second, first)[lags:0:-1], _correlation(first, second)[: lags + 1]])
+    return np.concatenate([correlation(second, first)[lags:0:-1], correlation(first, second)[: lags + 1]])
 
 
 def _strongest(centred: Sequence[Floats], rho: Floats, channels: Mapping[str, Sequence[Floats]]) -> Driver | None:
@@ -156,7 +155,7 @@ def _strongest(centred: Sequence[Floats], rho: Floats, channels: Mapping[str, Se
     found: list[tuple[float, Driver]] = []
     for name, pieces in channels.items():
         z = _centred(pieces)
-        other = _correlation(z, z)
+        other = correlation(z, z)
         if not other[0] > 0:
             continue
         r = _both_ways(centred, z, lags) / (own * math.sqrt(other[0]))
@@ -213,16 +212,12 @@ def thinned_gram(gram: Gram, residuals: Callable[[Posterior], Residuals]) -> Gra
     """
     share = 1.0
     for _ in range(PILOTS):
-        model = _pilot(gram.raised(_least(gram, share)))
+        model = _pilot(gram.raised(share))
         if gram.squared_error(model.coef) > REGRESSION.rejected * gram.yty:
             return gram
         found = residuals(model)
-        share = found.n_eff / found.n if found.correlated else 1.0
+        # at least as many rows as leave a regression
+        share = min(max(found.n_eff / found.n, 3.0 / gram.n), 1.0) if found.correlated else 1.0
         if share == 1.0:
             break
-    return gram.raised(_least(gram, share))
-
-
-def _least(gram: Gram, share: float) -> float:
-    """The share, but at least as many rows as leave a regression."""
-    return min(max(share, 3.0 / gram.n), 1.0)
+    return gram.raised(share)

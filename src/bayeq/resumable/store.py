@@ -60,7 +60,7 @@ class ResultStore:
     def __init__(self, path: str | Path, make: bool = False, any_thread: bool = False) -> None:
         self.path = Path(path)
         self._require_place(make)
-        try:
+        with self._guard():
             # Not read-only: what a killed process left half written has to be rolled back.
             self._connection = sqlite3.connect(
                 f"{self.path.absolute().as_uri()}?mode={'rwc' if make else 'rw'}",
@@ -69,8 +69,6 @@ class ResultStore:
                 isolation_level=None,
                 check_same_thread=not any_thread,
             )
-        except sqlite3.Error as error:
-            raise FileFormatError(f"{self.path}: {error}") from None
         try:
             if make:
                 self._make()
@@ -114,7 +112,6 @@ class ResultStore:
                 self._connection.execute(statement)
 
     def _check(self) -> None:
-        """Check what the file is."""
         with self._guard():
             if self._one("PRAGMA application_id") != self.application:
                 raise FileFormatError(
@@ -129,7 +126,6 @@ class ResultStore:
                 raise sqlite3.DatabaseError(verdict)
 
     def close(self) -> None:
-        """Close the file."""
         self._connection.close()
 
     def __enter__(self) -> Self:
@@ -153,32 +149,6 @@ class ResultStore:
     @property
     def _is_key(self) -> str:
         return " AND ".join(f"{name} = ?" for name in self.key)
-
-    def claim(self, wanted: Sequence[Key], owner: str, until: float, dead: Callable[[str, float], bool]) -> list[Key]:
-        """Claim those of some rows that no other process has claimed, in one transaction, until a time [s since 1970].
-
-        `dead` says whether the claim of an owner with such an end counts for nothing.
-        """
-        free = []
-        with self._transaction():
-            for key in wanted:
-                found = self._connection.execute(f"SELECT owner, until FROM claims WHERE {self._is_key}", key)
-                other = found.fetchone()
-                if other is None or other[0] == owner or dead(*other):
-                    free.append(key)
-            self._connection.executemany(
-                f"INSERT OR REPLACE INTO claims VALUES ({'?, ' * len(self.key)}?, ?)",
-                [(*key, owner, until) for key in free],
-            )
-        return free
-
-    def prolong(self, owner: str, until: float) -> None:
-        """Let the claims of an owner end later."""
-        self._write("UPDATE claims SET until = ? WHERE owner = ?", (until, owner))
-
-    def release(self, owner: str) -> None:
-        """Drop the claims of an owner."""
-        self._write("DELETE FROM claims WHERE owner = ?", (owner,))
 
     def _one(self, statement: str) -> Any:
         return self._connection.execute(statement).fetchone()[0]
@@ -243,20 +213,29 @@ class Claims:
         self._stop.set()
         self._beating.join()
         with self._store, suppress(FileFormatError):  # otherwise they end by themselves
-            self._store.release(self.owner)
+            self._store._write("DELETE FROM claims WHERE owner = ?", (self.owner,))
 
     def free(self, wanted: Sequence[Key]) -> tuple[Key, ...]:
-        """Claim rows: those that are done or claimed by others are left out."""
+        """Claim rows, in one transaction: those that are done or claimed by others are left out."""
+        store, free = self._store, []
         with self._lock:
-            claimed = self._store.claim(wanted, self.owner, time.time() + LEASE, _dead)
+            with store._transaction():
+                for key in wanted:
+                    found = store._connection.execute(f"SELECT owner, until FROM claims WHERE {store._is_key}", key)
+                    other = found.fetchone()
+                    if other is None or other[0] == self.owner or _dead(*other):
+                        free.append(key)
+                store._connection.executemany(
+                    f"INSERT OR REPLACE INTO claims VALUES ({'?, ' * len(store.key)}?, ?)",
+                    [(*key, self.owner, time.time() + LEASE) for key in free],
+                )
             # another process may have done it before it was claimed here
-            return tuple(key for key in claimed if not self._store.done(key))
+            return tuple(key for key in free if not store.done(key))
 
     def _beat(self) -> None:
-        """Prolong the claims now and then."""
         while not self._stop.wait(BEAT):
             with suppress(FileFormatError), self._lock:  # the next time will do
-                self._store.prolong(self.owner, time.time() + LEASE)
+                self._store._write("UPDATE claims SET until = ? WHERE owner = ?", (time.time() + LEASE, self.owner))
 
 
 def _dead(owner: str, until: float) -> bool:
@@ -297,15 +276,12 @@ def fill(
 ) -> Generator[tuple[Answer, int, int], None, None]:
     """Compute the results that a store lacks; the caller puts each answer into it.
 
-    A result depends on nothing but its key, so that neither the number of workers, nor batches, nor a kill changes it;
-    several processes may fill a store. `missing` gives the keys that it lacks now, in groups that are computed
-    together, and is asked until there are none. `tasks` turns the keys of `size` groups into a task, `work` a task
-    into its answer, and `count` gives the number of groups in an answer. Tasks and answers are sent between processes:
-    `jobs` of them compute, with 1 this process alone, or else the workers of a
-    `bayeq.discovery.streaming.cluster.Cluster`.
+    `missing` gives the keys that it lacks now, in groups that are computed together, and is asked until there are none.
+    `tasks` turns the keys of `size` groups into a task, `work` a task into its answer, and `count` gives the number of
+    groups in an answer. `jobs` processes compute, with 1 this one alone, or the workers of a cluster. A result depends
+    on its key alone, whatever the workers, batches and kills; several processes may fill a store.
 
-    Yields an answer as it is ready, the number of groups done, with it, and of these and what was missing when it was
-    last looked.
+    Yields an answer as it is ready, the number of groups done with it, and of these and the missing ones.
     """
     done = 0
     with Claims(store) as claims:
@@ -329,10 +305,7 @@ def fill(
 def compute(
     work: Callable[[Task], Answer], tasks: Iterable[Task], jobs: int, store: Path
 ) -> Generator[Answer, None, None]:
-    """The answer to each task, as it is ready; tasks are asked for as workers are free.
-
-    With one job all is done in this process. BayeqError where a worker was killed, which names the store.
-    """
+    """The answer to each task, as it is ready; with one job in this process. BayeqError where a worker was killed."""
     if jobs == 1:
         for task in tasks:
             yield work(task)

@@ -97,10 +97,6 @@ class Learned:
     models: dict[tuple[str | None, ...], KinematicModel] = field(default_factory=dict)
     gains: dict[tuple[str | None, ...], Floats] = field(default_factory=dict)  # of chains, (K+1,)
 
-    def copy(self) -> Learned:
-        """The same, to which others may be added."""
-        return Learned(dict(self.models), dict(self.gains))
-
 
 def find_bad_samples(
     records: Sequence[Record], roles: Roles, learned: Learned | None = None
@@ -199,9 +195,8 @@ class _Group:
         else:
             alone = {name: cls(records, (name,)).searched(learned).spikes for name in names if name is not None}
             calm = [
-                record.with_channels(
-                    {name: np.where(spikes[i][:, 0], np.nan, record[name]) for name, spikes in alone.items()},
-                    record.units,
+                with_samples(
+                    record, {name: np.where(own[i][:, 0], np.nan, record[name]) for name, own in alone.items()}
                 )
                 for i, record in enumerate(records)
             ]

@@ -268,12 +268,7 @@ def likened(channels: Sequence[Floats]) -> list[Floats]:
 
 def _moved(values: Floats, back: int) -> Floats:
     """The sample so far back at each row, or ahead where that is negative; NaN where there is none."""
-    out = np.full(len(values), np.nan)
-    if back >= 0:
-        out[back:] = values[: len(values) - back]
-    else:
-        out[:back] = values[-back:]
-    return out
+    return np.pad(values, abs(back), constant_values=np.nan)[abs(back) - back :][: len(values)]
 
 
 def _smoothed(
@@ -319,7 +314,13 @@ def _smoothed_rows(record: Record, roles: Roles, means: Sequence[Floats]) -> Mot
 def _rows(record: Record, roles: Roles, columns: Mapping[str, Floats]) -> MotionRows:
     """Rows of a record whose states, targets and inputs are known."""
     samples = {name: np.asarray(record[name]) for name in roles.channels}
-    columns = {**columns, **_time(record, roles)}
+    if roles.timed:
+        if record.time is None or counts_rows(record):
+            raise RecordError(
+                f"{record.name or 'record'}: a term uses t, the time, but the record has none; name its time column"
+                " (time=, --time) or give the sampling rate (fs=, --fs)"
+            )
+        columns = {**columns, TIME: np.asarray(record.time, dtype=np.float64)}
     observed = {
         target: np.where(np.isnan(samples[target]), columns[target], samples[target])
         if target in samples
@@ -327,18 +328,6 @@ def _rows(record: Record, roles: Roles, columns: Mapping[str, Floats]) -> Motion
         for target in roles.targets
     }
     return MotionRows(record.name, record.time, columns, observed, samples, has_all(record, roles))
-
-
-def _time(record: Record, roles: Roles) -> dict[str, Floats]:
-    """The column of t, where terms use it."""
-    if not roles.timed:
-        return {}
-    if record.time is None or counts_rows(record):
-        raise RecordError(
-            f"{record.name or 'record'}: a term uses t, the time, but the record has none; name its time column (time=,"
-            " --time) or give the sampling rate (fs=, --fs)"
-        )
-    return {TIME: np.asarray(record.time, dtype=np.float64)}
 
 
 def _require_integrable(records: Sequence[Record], chain: Chain, smooth: Smooth) -> None:

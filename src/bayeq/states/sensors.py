@@ -251,6 +251,9 @@ IN_G = (1.0 / GRAVITY, 1e-3 / GRAVITY, 1e-6 / GRAVITY, 1e-2 / GRAVITY)
 ANGLES = tuple(factor**sign for factor in (math.pi / 180.0, 2.0 * math.pi) for sign in (1, -1))
 OTHERS = tuple(10.0**k for k in range(-18, 19))
 
+# Factors between two channels below this are of no units.
+UNLIKE = 2.0
+
 # Orders of derivatives that can be compared: the window's own derivatives are written out up to here.
 MOST_ORDER = 2
 
@@ -268,6 +271,24 @@ def rates(chain: Chain, gains: Sequence[float]) -> tuple[float, ...]:
     """
     whole = tuple(gains) or (1.0,) * (chain.order + 1)
     return tuple(below / above for below, above in pairwise(whole))
+
+
+def of_no_unit(chain: Chain, gains: Sequence[float], units: Mapping[str, str]) -> tuple[str, str, float] | None:
+    """A channel, one below it, and by how much the first is too large or too small to be its derivative.
+
+    The gains are those of `unit_gains`; None where each is as stated, or may be of a unit that is not known.
+    """
+    measured = [(k, name) for k, name in enumerate(chain.measured[: len(gains)]) if name is not None]
+    for place, (k, name) in enumerate(measured[1:], 1):
+        found = []
+        for j, below in measured[:place]:
+            both = below in units and name in units
+            stated = derivative_ratio(units[below], units[name], k - j) if both else None
+            found.append((below, abs(gains[k] / gains[j]) / (stated or 1.0)))
+        below, off = min(found, key=lambda one: abs(math.log(one[1])))
+        if 1e-6 < abs(math.log(off)) < math.log(UNLIKE):
+            return name, below, off
+    return None
 
 
 def unit_gains(
@@ -344,8 +365,10 @@ def _estimated(records: Sequence[Record], cuts: Sequence[int], below: str, above
     if order > MOST_ORDER:
         return None
     cross, power, expected, count, missing = 0.0, 0.0, 0.0, 0, 0.0
-    sizes = [_size(records, cuts, name) for name in (below, above)]
-    for record, cut in zip(records, cuts, strict=True):
+    pairs = list(zip(records, cuts, strict=True))
+    # so that no power of the samples overflows
+    sizes = [max(float(np.ptp(bridged(r[name][:cut]))) for r, cut in pairs) or 1.0 for name in (below, above)]
+    for record, cut in pairs:
         if record.time is None or cut <= LEAST_LINES:
             continue
         cut = min(cut, MOST_ROWS)
@@ -374,11 +397,6 @@ def _estimated(records: Sequence[Record], cuts: Sequence[int], below: str, above
     return _Estimate(math.copysign(math.sqrt(power / expected), cross) * sizes[1] / sizes[0], error)
 
 
-def _size(records: Sequence[Record], cuts: Sequence[int], name: str) -> float:
-    """Of the samples, so that no power of them overflows."""
-    return max(float(np.ptp(bridged(r[name][:cut]))) for r, cut in zip(records, cuts, strict=True)) or 1.0
-
-
 def bridged(samples: Floats) -> Floats:
     """The samples, missing ones interpolated."""
     known = np.flatnonzero(np.isfinite(samples))
@@ -392,8 +410,5 @@ def _lines(samples: Floats, step: float, order: int) -> Complexes:
     rate = 2.0 * np.pi / (n * step)
     windows = (0.5 - 0.5 * np.cos(phase), 0.5 * rate * np.sin(phase), 0.5 * rate**2 * np.cos(phase))
     omega = 2j * np.pi * np.fft.rfftfreq(n, step)
-    a, b, c = (np.fft.rfft(window * samples) if k <= order else None for k, window in enumerate(windows))
-    assert a is not None
-    if b is None:
-        return a[2:]
-    return (omega * a - b)[2:] if c is None else (omega**2 * a - 2.0 * omega * b + c)[2:]
+    a, b, c = (np.fft.rfft(window * samples) for window in windows)
+    return (a, omega * a - b, omega**2 * a - 2.0 * omega * b + c)[order][2:]

@@ -19,6 +19,7 @@ from bayeq.arrays import Floats
 from bayeq.errors import BayeqError, BayeqWarning, whole_number
 from bayeq.expressions import parse
 from bayeq.resumable.store import MAX_JOBS, Key, ResultStore, fill
+from bayeq.systems import System
 
 # The name under which a law holds the constant of an equation.
 CONSTANT = "1"
@@ -81,10 +82,9 @@ def run_cells(
 ) -> Cells:
     """Measure the cells of a benchmark that an SQLite file, made if it is not there, does not hold.
 
-    Outcomes of several benchmarks may be in one file. A cell is text and numbers that say what is measured; its
-    `records` have consecutive seeds. `measure` turns a cell and a seed into an outcome that JSON can hold; it is a
-    function of a module, for worker processes import it. `progress` is called with (outcomes there, these and the
-    missing ones).
+    A cell is text and numbers that say what is measured; its `records` have consecutive seeds. `measure` turns cell and
+    seed into an outcome as JSON can hold it, and is a function of a module, for worker processes. `progress` is called
+    with (outcomes there, these and the missing ones).
     """
     whole_number("seeds", records, 1, MOST_RECORDS)
     whole_number("seed", first_seed, 0)
@@ -111,6 +111,20 @@ def facts() -> Mapping[str, Any]:
     return dict(json.loads(files("bayeq.study").joinpath("ode_systems.json").read_text(encoding="utf-8")))
 
 
+def system_of(name: str, states: Sequence[str], rhs: Sequence[str], initial: Sequence[float], **about: Any) -> System:
+    """A system of first order without inputs or noise, of which nothing is known but its equations."""
+    return System(
+        name=name,
+        chains=tuple(states),
+        rhs=dict(zip(states, rhs, strict=True)),
+        terms={f"d{state}": {} for state in states},
+        parameters={},
+        initial=dict(zip(states, initial, strict=True)),
+        noise=0.0,
+        **about,
+    )
+
+
 def timed(discover: Callable[[], Any], judge: Callable[[Any], Outcome]) -> Outcome:
     """The judgement of an answer, and the seconds of CPU that it took; an error is an answer without a term."""
     with warnings.catch_warnings():
@@ -123,18 +137,15 @@ def timed(discover: Callable[[], Any], judge: Callable[[Any], Outcome]) -> Outco
         return {"cpu": time.process_time() - start, **judge(answer)}
 
 
-def judged(eqs: Any, laws: Sequence[Law] | None) -> Outcome:
+def judged(eqs: Any, laws: Sequence[Law]) -> Outcome:
     """An answer beside the true laws: coefficients by term of each equation, the constant under `CONSTANT`.
 
-    Laws are None where no dictionary holds them: then there are ``verdicts`` alone, else also ``E``, the error of the
-    coefficient matrix in the spectral norm, relative to the true one; ``exact``, whether the included terms of all
-    equations are the true ones; ``wrong``, terms too many and missed; ``false_found``, equations called found that show
-    a false term, or miss a true one that is above its stated bound; ``covered`` of ``intervals``, 95 % intervals of the
-    true terms that are included.
+    ``E``, the error of the coefficient matrix in the spectral norm, relative to the true one; ``exact``, whether the
+    included terms of all equations are the true ones; ``wrong``, terms too many and missed; ``false_found``, equations
+    called found that show a false term, or miss a true one that is above its stated bound; ``covered`` of
+    ``intervals``, 95 % intervals of the true terms that are included.
     """
     verdicts = [eq.verdict.kind for eq in eqs]
-    if laws is None:
-        return {"verdicts": verdicts}
     laws = [{parse(name).text: value for name, value in law.items()} for law in laws]
     found = [_coefficients(eq) for eq in eqs]
     names = list(dict.fromkeys(name for law in (*laws, *found) for name in law))
@@ -158,9 +169,7 @@ def matrix_error(found: Floats, true: Floats) -> float:
 
 
 def _coefficients(eq: Any) -> dict[str, float]:
-    posterior = eq.posterior
-    zipped = zip(eq.terms, posterior.coef.tolist(), posterior.support.tolist(), strict=True)
-    found = {term.text: value for term, value, kept in zipped if kept}
+    found = {eq.terms[j].text: float(eq.posterior.coef[j]) for j in np.flatnonzero(eq.posterior.support)}
     if eq.intercept_matters:
         found[CONSTANT] = eq.intercept_estimate[0]
     return found

@@ -18,11 +18,7 @@ DEFAULT_ALGORITHMS = ("sindy", "rvm", "gibbs", "vb", "vb-rvm")
 
 @dataclass(frozen=True, slots=True)
 class StudyConfig:
-    """The numbers of a study: two studies agree in a realisation if and only if they agree in these.
-
-    Which systems, which algorithms and how many realisations is not part of it: those are added to a store as
-    they are asked for.
-    """
+    """The numbers of a study: studies of the same numbers agree in each realisation of each system and algorithm."""
 
     seed: int = 0  # a realisation is drawn from (seed, system, index)
     smooth: str = "none"  # the paper's raw noisy channels; or "auto", see `bayeq.states.derive_states`

@@ -47,35 +47,24 @@ TEST_FUNCTIONS = 200
 
 
 def systems() -> list[str]:
-    """Names of the systems."""
     return list(cells.facts()["dysts"])
 
 
 @lru_cache(maxsize=128)
 def _system(name: str) -> tuple[System, Sequence[Law]]:
-    """A system, and its laws."""
     known = cells.facts()["dysts"][name]
-    states, laws = known["states"], known["terms"]
-    system = System(
-        name=name,
+    system = cells.system_of(
+        name,
+        known["states"],
+        ["+".join(f"({c!r})*{term}" for term, c in law.items()) for law in known["terms"]],
+        known["initial"],
         title=name,
-        chains=tuple(states),
-        rhs={
-            state: "+".join(f"({c!r})*{term}" for term, c in law.items())
-            for state, law in zip(states, laws, strict=True)
-        },
-        terms={
-            f"d{state}": {term: repr(c) for term, c in law.items()} for state, law in zip(states, laws, strict=True)
-        },
-        parameters={},
-        initial=dict(zip(states, known["initial"], strict=True)),
         n=ROWS,
         fs=PER_PERIOD / known["period"],
-        noise=0.0,
         substeps=STEPS // PER_PERIOD,
         citation=cells.facts()["dysts_source"],
     )
-    return system, laws
+    return system, known["terms"]
 
 
 @lru_cache(maxsize=8)
@@ -128,12 +117,10 @@ def _bayeq(name: str, noise: float, seed: int, told: bool) -> Outcome:
 def _rates(laws: Sequence[Law], record: Record, states: Sequence[str]) -> Floats:
     from bayeq.expressions import Evaluator, parse
 
-    evaluate = Evaluator({state: record[state] for state in states})
-    rates = [
-        sum(value * np.asarray(evaluate(parse(term, states))) for term, value in law.items()) + np.zeros(ROWS)
-        for law in laws
-    ]
-    return np.column_stack(rates)
+    evaluate = Evaluator(record.channels)
+    return np.column_stack(
+        [sum((value * evaluate(parse(term, states)) for term, value in law.items()), np.zeros(ROWS)) for law in laws]
+    )
 
 
 def _aicc(residuals: Floats, terms: int) -> float:
@@ -159,7 +146,6 @@ def _stlsq(name: str, noise: float, seed: int, weak: bool) -> Outcome:
 
 
 def _samples(record: Record, states: Sequence[str]) -> Any:
-    """States as PySINDy takes them."""
     import pysindy
 
     return pysindy.AxesArray(np.column_stack([record[s] for s in states]), {"ax_time": 0, "ax_coord": 1})
@@ -168,10 +154,7 @@ def _samples(record: Record, states: Sequence[str]) -> Any:
 def _fits(
     records: Sequence[Record], states: Sequence[str], seed: int, weak: bool
 ) -> tuple[Any, list[str], list[Floats], float]:
-    """The library, its terms, coefficients (C, P) at each threshold, and the seconds of CPU that one model takes.
-
-    From smoothed differences, or in weak form.
-    """
+    """The library, its terms, coefficients (C, P) at each threshold, and the seconds of CPU that one model takes."""
     with needing("pysindy", "pysindy", "PySINDy's fits"):
         import pysindy
     start = time.process_time()

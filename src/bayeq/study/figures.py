@@ -7,6 +7,7 @@ import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -101,10 +102,9 @@ def compare(name: str, config: StudyConfig) -> Comparison:
 
 
 def confidence_ellipse(mean: ArrayLike, covariance: ArrayLike, level: float = 0.95) -> Floats:
-    """Outline (2, 200), a closed curve, of the region that holds a share `level` of a bivariate Gaussian.
+    """Outline (2, 200) of the region that holds a share `level` of a bivariate Gaussian, of mean (2,) and covariance C.
 
-    The points where ``(t - mean)' C^-1 (t - mean)`` is the chi-square quantile with 2 degrees of freedom,
-    ``-2 ln(1 - level)``; mean (2,) and covariance (2, 2), positive definite.
+    There ``(t - mean)' C^-1 (t - mean)`` is the chi-square quantile with 2 degrees of freedom, ``-2 ln(1 - level)``.
 
     Examples
     --------
@@ -119,26 +119,21 @@ def confidence_ellipse(mean: ArrayLike, covariance: ArrayLike, level: float = 0.
 
 
 def joint_posterior(comparison: Comparison) -> JointPosterior:
-    """The triangle of Fig. 5: the coefficients of the true terms, in original units.
-
-    Draws in which a coefficient is out of the model are in no pair of that coefficient. Large values are
-    divided by a power of ten, which the label names.
-    """
+    """The triangle of Fig. 5: the coefficients of the true terms, large ones divided by a power of ten."""
     system, vb, draws = comparison.system, comparison.vb, comparison.mcmc.draws
     assert draws is not None
     true = np.flatnonzero(comparison.truth)
-    scale = np.array([_power_of_ten(value) for value in comparison.truth[true]])
+    sizes = np.abs(comparison.truth[true])
+    scale = np.where(sizes < LARGE, 1.0, 10.0 ** np.floor(np.log10(sizes)))
     ((target, symbols),) = system.terms.items()
     names = tuple(vb.names[j] for j in true)
     mean = vb.coef[true] / scale
     place = {int(j): k for k, j in enumerate(np.flatnonzero(vb.support))}
     ellipses = {}
-    for j, term in enumerate(true):
-        for i, other in enumerate(true[:j]):
-            if vb.support[term] and vb.support[other]:
-                rows = [place[int(other)], place[int(term)]]
-                covariance = vb.covariance[np.ix_(rows, rows)] / np.outer(scale[[i, j]], scale[[i, j]])
-                ellipses[i, j] = confidence_ellipse(mean[[i, j]], covariance)
+    for i, j in combinations([k for k, term in enumerate(true) if vb.support[term]], 2):
+        rows, pair = [place[int(true[k])] for k in (i, j)], [i, j]
+        covariance = vb.covariance[np.ix_(rows, rows)] / np.outer(scale[pair], scale[pair])
+        ellipses[i, j] = confidence_ellipse(mean[pair], covariance)
     z = draws.z.reshape(-1, len(vb.names))
     samples = draws.theta.reshape(z.shape)[:, true] / scale
     truth = comparison.truth[true] / scale
@@ -169,29 +164,17 @@ def _limits(draws: Floats, k: int, truth: float, ellipses: Mapping[tuple[int, in
     return ends + np.array([-room, room])
 
 
-def _power_of_ten(value: float) -> float:
-    return float(10.0 ** math.floor(math.log10(abs(value)))) if abs(value) >= LARGE else 1.0
-
-
 def _label(system: System, target: str, term: str, coefficient: str, scale: float) -> str:
     """Term, coefficient in physical parameters, and its unit."""
     power = rf"$10^{{{round(math.log10(scale))}}}$ " if scale != 1.0 else ""
-    unit = f"{power}{_unit(system, target, term)}".strip()
-    return f"{mathtext(term, order=system.states)}:  {mathtext(coefficient)}\n[{unit or '1'}]"
-
-
-def _unit(system: System, target: str, term: str) -> str:
-    """Unit of a term's coefficient: of the target over that of the term, in SI base units."""
-    powers = parse_unit(quotient_unit(target, parse(term), system.units) or "")
+    powers = parse_unit(quotient_unit(target, parse(term), system.units) or "")  # in SI base units
     multiply_units(powers, {"kg": Fraction(1), "m": Fraction(1), "s": Fraction(-2)}, powers.pop("N", 0))
-    return " ".join(name if power == 1 else f"{name}$^{{{power}}}$" for name, power in sorted(powers.items()))
+    unit = power + " ".join(name if p == 1 else f"{name}$^{{{p}}}$" for name, p in sorted(powers.items()))
+    return f"{mathtext(term, order=system.states)}:  {mathtext(coefficient)}\n[{unit.strip() or '1'}]"
 
 
 def draw_inclusion(panels: Sequence[Comparison]) -> Figure:
-    """Rao-Blackwellised probabilities of all terms by MCMC beside VB's w, a panel per system (Fig. 4).
-
-    Panels stand from left to right; the figure is as wide as a journal's page.
-    """
+    """Rao-Blackwellised probabilities of all terms by MCMC beside VB's w, a panel per system (Fig. 4)."""
     terms = [mathtext(name, order=panels[-1].system.states) for name in panels[-1].vb.names]
     figure, axes = style.new_panels(1, len(panels), height=26.0 + 3.7 * len(terms), sharey=True)
     for k, (ax, panel) in enumerate(zip(axes[0], panels, strict=True)):
@@ -221,10 +204,7 @@ def _bars(ax: Axes, panel: Comparison) -> list[Any]:
 
 
 def draw_joint(systems: Sequence[JointPosterior]) -> Figure:
-    """Pairwise joint posteriors: cloud of MCMC, mean and ellipse of VB, truth; a triangle per system (Fig. 5).
-
-    Systems stand row by row, two in a row. The figure is as wide as a journal's page, or as a column of it for one.
-    """
+    """Pairwise joint posteriors, a triangle per system: cloud of MCMC, mean and ellipse of VB, truth (Fig. 5)."""
     from matplotlib.lines import Line2D
 
     across = min(len(systems), 2)
@@ -272,7 +252,6 @@ def _triangle(block: Any, system: JointPosterior, title: str) -> None:
 
 
 def _pair(ax: Axes, system: JointPosterior, i: int, j: int) -> None:
-    """One pair of coefficients."""
     from matplotlib.patheffects import withStroke
 
     cloud = system.included[:, i] & system.included[:, j]
@@ -313,13 +292,9 @@ def _ticks(limits: Floats, intervals: int, margin: float) -> Floats:
 def write_figures(folder: Path, *, seed: int = 0, systems: Iterable[str] = STUDY_SYSTEMS) -> list[Path]:
     """Compute and draw the paper's Figs. 4 and 5: one realisation per system by the protocol of section 4.
 
-    Nominal parameters, 5 % noise, 2000 rows, columns standardised by eq. (32), the paper's prior and chains. Fig. 4
-    shows the inclusion probabilities of all terms, Fig. 5 the pairwise posteriors of the true terms' coefficients of
-    the nonlinear systems; without such systems there is none. The files ``fig4_inclusion`` and ``fig5_joint``, each as
-    ``.png`` and ``.svg``, go into a folder that is made if missing; the same seed gives the same bytes.
-
-    MissingExtraError without matplotlib; InputError for an argument out of range, a system that is not known, or files
-    that cannot be written.
+    Nominal parameters, 5 % noise, 2000 rows. Fig. 4 has the inclusion probabilities of all terms, Fig. 5, of nonlinear
+    systems, the pairwise posteriors of the true ones; as ``.png`` and ``.svg`` in a folder that is made if missing. The
+    same seed gives the same bytes. MissingExtraError without matplotlib; InputError for what cannot be used or written.
     """
     require_matplotlib()
     names = choose("system", systems, STUDY_SYSTEMS)

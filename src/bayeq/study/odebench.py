@@ -25,9 +25,9 @@ from bayeq.arrays import Floats
 from bayeq.errors import BayeqError, BayeqWarning, needing
 from bayeq.records import Record
 from bayeq.study import cells
-from bayeq.study.cells import CONSTANT, Cell, Cells, Outcome
+from bayeq.study.cells import CONSTANT, Cell, Cells, Law, Outcome
 from bayeq.study.config import choose
-from bayeq.systems import System, simulate
+from bayeq.systems import simulate
 
 #: Kind and per cent.
 NOISES = ("none 0", "multiplied 1", "multiplied 5", "added 1", "added 5")
@@ -40,33 +40,55 @@ SUBSTEPS = 50
 # A free run that explains more of the variance follows the trajectory.
 FOLLOWS = 0.9
 
-# The grid of PySINDy: thresholds, ridges, orders of differences, windows of smoothing, degrees. Models are fitted to
-# the first rows.
+# The grid of PySINDy: thresholds, ridges, orders of differences, windows of smoothing, degrees; the rows of its fits.
 GRID = ((0.05, 0.1, 0.15), (0.025, 0.05, 0.075), (2, 3, 4), (None, 15), (1, 2, 3))
 TRAINED = 0.7
 
 # A free run that is further from zero has left.
 FARTHEST = 1e6
 
-# Terms with constants inside, of the systems whose laws no fixed terms hold.
-WITH_CONSTANTS = {
-    4: "polynomial:2; 1/(1+exp({a: -3..3}-x0*{b: 0.1..10}))",
-    10: "polynomial:2; (1-x0)*x0**{a: 1.05..3}; x0*(1-x0)**{b: 1.05..3}",
-    14: "polynomial:2; x0**2/({a: 10..10000}+x0**2)",
-    18: "polynomial:2; x0/({a: 5..500}+x0)",
-    19: "polynomial:2; x0/({a: 0.08..8}+x0)",
-    22: "polynomial:2; x0**5/({a: 10..1000}+x0**5)",
-    47: "polynomial:2; 1/(1+exp({a: 0.5..50}*x1-{b: 0.1..10})); 1/(1+exp({c: 0.5..50}*x0-{d: 0.1..10}))",
-    48: "polynomial:2; x0*x1/(1+{a: 0.05..5}*x0**2)",
-    53: "polynomial:2; x0*x1/({a: 0.01..1}+x0); x1/({b: 0.01..1}+x1); x0*x1/({c: 0.2..20}+x1)",
-    62: "polynomial:2; 1/(1+exp({a: 0.1..10}*x2+{b: 0.1..10}*x1-{c: 0.1..10}))"
-    "; 1/(1+exp({d: 0.1..10}*x0+{g: 0.1..10}*x3-{f: 0.1..10}))",
+# Of the systems whose laws no fixed terms hold: the other terms of their dictionaries beside the monomials to degree 2,
+# with constants inside, and the laws in these.
+WITH_CONSTANTS: dict[int, tuple[str, list[Law]]] = {
+    4: ("1/(1+exp({a: -3..3}-x0*{b: 0.1..10}))", [{"1/(1+exp({a}-x0*{b}))": 1.0, CONSTANT: -0.5}]),
+    10: (
+        "(1-x0)*x0**{a: 1.05..3}; x0*(1-x0)**{b: 1.05..3}",
+        [{"(1-x0)*x0**{a}": 0.2, "x0*(1-x0)**{b}": -0.8}],
+    ),
+    14: (
+        "x0**2/({a: 10..10000}+x0**2)",
+        [{"x0": 0.78, "x0**2": -0.78 / 81.0, "x0**2/({a}+x0**2)": -0.9}],
+    ),
+    18: ("x0/({a: 5..500}+x0)", [{"x0": 0.4, "x0**2": -0.004, "x0/({a}+x0)": -0.24}]),
+    19: ("x0/({a: 0.08..8}+x0)", [{"x0": 1.0, "x0**2": -1.0, "x0/({a}+x0)": -0.08}]),
+    22: ("x0**5/({a: 10..1000}+x0**5)", [{CONSTANT: 1.4, "x0**5/({a}+x0**5)": 0.4, "x0": -0.89}]),
+    47: (
+        "1/(1+exp({a: 0.5..50}*x1-{b: 0.1..10})); 1/(1+exp({c: 0.5..50}*x0-{d: 0.1..10}))",
+        [{"x0": -1.0, "1/(1+exp({a}*x1-{b}))": 1.0}, {"x1": -1.0, "1/(1+exp({c}*x0-{d}))": 1.0}],
+    ),
+    48: (
+        "x0*x1/(1+{a: 0.05..5}*x0**2)",
+        [{CONSTANT: 18.3, "x0": -1.0, "x0*x1/(1+{a}*x0**2)": -1.0}, {CONSTANT: 11.23, "x0*x1/(1+{a}*x0**2)": -1.0}],
+    ),
+    53: (
+        "x0*x1/({a: 0.01..1}+x0); x1/({b: 0.01..1}+x1); x0*x1/({c: 0.2..20}+x1)",
+        [
+            {CONSTANT: 0.1, "x0*x1/({a}+x0)": -0.4, "x0": -0.05},
+            {"x2": 0.06, "x1*x2": 0.6, "x1/({b}+x1)": -0.2, "x0*x1/({c}+x1)": -7.95},
+            {"x2": -0.06, "x1*x2": -0.6, "x1/({b}+x1)": 0.2, "x0*x1/({c}+x1)": 7.95},
+        ],
+    ),
+    62: (
+        "1/(1+exp({a: 0.1..10}*x2+{b: 0.1..10}*x1-{c: 0.1..10}))"
+        "; 1/(1+exp({d: 0.1..10}*x0+{g: 0.1..10}*x3-{f: 0.1..10}))",
+        [
+            {"x0": -1.0, "1/(1+exp({a}*x2+{b}*x1-{c}))": 1.0},
+            {"x0": 1.0, "x1": -1.0},
+            {"x2": -1.0, "1/(1+exp({d}*x0+{g}*x3-{f}))": 1.0},
+            {"x2": 1.0, "x3": -1.0},
+        ],
+    ),
 }
-
-
-def systems() -> list[str]:
-    """Numbers of the systems, as text."""
-    return [str(one["id"]) for one in cells.facts()["odebench"]]
 
 
 @lru_cache(maxsize=1)
@@ -74,22 +96,23 @@ def _known() -> Mapping[str, Any]:
     return {str(one["id"]): one for one in cells.facts()["odebench"]}
 
 
+def systems() -> list[str]:
+    """Numbers of the systems, as text."""
+    return list(_known())
+
+
 @lru_cache(maxsize=256)
 def _clean(name: str, start: int) -> Record:
     """The trajectory from one of the two initial states."""
     known = _known()[name]
-    states = known["states"]
-    system = System(
-        name=f"odebench-{name}",
+    system = cells.system_of(
+        f"odebench-{name}",
+        known["states"],
+        known["rhs"],
+        known["initial"][start],
         title=known["name"],
-        chains=tuple(states),
-        rhs=dict(zip(states, known["rhs"], strict=True)),
-        terms={f"d{state}": {} for state in states},
-        parameters={},
-        initial=dict(zip(states, known["initial"][start], strict=True)),
         n=ROWS,
         fs=(ROWS - 1) / SECONDS,
-        noise=0.0,
         substeps=SUBSTEPS,
         citation=cells.facts()["odebench_source"],
     )
@@ -97,10 +120,7 @@ def _clean(name: str, start: int) -> Record:
 
 
 def draw(name: str, start: int, noise: str, points: float, seed: int) -> Record:
-    """A noisy trajectory from one of the two initial states.
-
-    The seed draws the noise, one of `NOISES`, and which share of the points is kept, always with the first.
-    """
+    """A noisy trajectory; the seed draws the noise, and which share of the points is kept beside the first."""
     clean = _clean(name, start)
     kind, size = noise.split()
     rng = np.random.default_rng([seed, int(name), start])
@@ -127,7 +147,7 @@ def measure(cell: Cell, seed: int) -> Outcome:
     from bayeq.discovery import discover
 
     known = _known()[name]
-    laws = known["terms"] if dictionary == "informed" or known["class"] == "P" else None
+    laws = known["terms"] if int(name) not in WITH_CONSTANTS else WITH_CONSTANTS[int(name)][1]
     how: dict[str, Any] = {"dictionary": "polynomial:3" if dictionary == "blind" else informed(name)}
     if method == "proportional":
         how["noise"] = dict.fromkeys(known["states"], "% of reading")
@@ -141,10 +161,9 @@ def measure(cell: Cell, seed: int) -> Outcome:
 
 
 def informed(name: str) -> list[str]:
-    """The informed dictionary of a system."""
     known = _known()[name]
     if int(name) in WITH_CONSTANTS:
-        return WITH_CONSTANTS[int(name)].split("; ")
+        return ["polynomial:2", *WITH_CONSTANTS[int(name)][0].split("; ")]
     names = list(dict.fromkeys(term for law in known["terms"] for term in law if term != CONSTANT))
     degrees = {term: _degree(term, known["states"]) for term in names}
     degree = max([2, *(d for d in degrees.values() if d is not None)])
@@ -180,16 +199,13 @@ def _r2(run: Floats, clean: Record) -> float:
 
 
 def _stlsq(record: Record, truth: Sequence[Record], functions: bool) -> Outcome:
-    """PySINDy by the authors' grid; sin, cos and exp beside the monomials are among its choices where asked for.
-
-    The best has the largest R2 of the derivatives in the last 30 %; the CPU time is that of the whole grid.
-    """
+    """PySINDy by the authors' grid, with sin, cos and exp if asked for; the best by R2 of the last 30 %."""
     with needing("pysindy", "pysindy", "PySINDy's fits"):
         import pysindy
     start = time.process_time()
     values, times = np.column_stack([record[name] for name in record.channels]), np.asarray(record.time)
     split = round(TRAINED * len(times))
-    best: tuple[float, Any] = (-np.inf, None)
+    highest, best = -np.inf, None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         for numbers in itertools.product(*GRID, (False, True) if functions else (False,)):
@@ -199,12 +215,12 @@ def _stlsq(record: Record, truth: Sequence[Record], functions: bool) -> Outcome:
                 score = float(model.score(values[split:], t=times[split:]))
             except (ValueError, np.linalg.LinAlgError):  # no term is left, or a column is not finite
                 continue
-            if score > best[0]:
-                best = (score, model)
+            if score > highest:
+                highest, best = score, model
     cpu = time.process_time() - start
-    if best[1] is None:
+    if best is None:
         return {"error": "no model", "cpu": cpu}
-    return {"cpu": cpu, "R2": [_r2(_run(best[1], one), one) for one in truth]}
+    return {"cpu": cpu, "R2": [_r2(_run(best, one), one) for one in truth]}
 
 
 def _model(pysindy: Any, threshold: Any, alpha: Any, order: Any, window: Any, degree: Any, functions: bool) -> Any:
@@ -249,10 +265,7 @@ def cells_of(
     dictionaries: Sequence[str],
     methods: Sequence[str],
 ) -> list[Cell]:
-    """The cells of some systems (None: all), `NOISES`, shares of the points, `DICTIONARIES` and `METHODS`.
-
-    Names that are not known are errors.
-    """
+    """The cells of some systems (None: all), `NOISES`, shares of the points, `DICTIONARIES` and `METHODS`, checked."""
     return [
         (name, start, noise, float(share), dictionary, method)
         for name in choose("system", systems() if names is None else names, systems())
@@ -276,7 +289,6 @@ def _kind(cell: Cell) -> Cell:
 
 
 def _about(noise: Any, points: Any, dictionary: Any, method: Any, rests: Any) -> dict[str, object]:
-    """The columns that say what a line is about."""
     return {
         "noise": noise,
         "points": f"{100 * points:g} %",

@@ -38,11 +38,10 @@ from bayeq.inference.prior import Prior
 from bayeq.inference.rvm import rvm
 from bayeq.inference.stlsq import sweep_stlsq
 from bayeq.inference.vb import spike_slab_vb
-from bayeq.regression.by_likelihood import regressions_of
 from bayeq.regression.constraints import parse_constraints
 from bayeq.regression.design import build_design
-from bayeq.regression.joint import fit_equations, record_of
-from bayeq.regression.regression import Regression
+from bayeq.regression.fit import fit_equations, record_of
+from bayeq.regression.regression import Regression, regressions_of
 from bayeq.resumable.store import AHEAD, MAX_JOBS, Key, ResultStore, fill
 from bayeq.states import Roles, Smooth, estimate_motion, parse_chains
 from bayeq.study.config import DEFAULT_ALGORITHMS, STUDY_SYSTEMS, StudyConfig, choose
@@ -195,11 +194,7 @@ def realise(config: StudyConfig, task: Task) -> list[Result]:
 
 
 def _tried(work: Callable[..., Answer], *arguments: Any) -> tuple[Answer | None, str | None]:
-    """What some work gives, or the type and message of its exception.
-
-    One bad realisation must not end a study of thousands; only running out of memory, a package that is missing, and
-    the user stop it.
-    """
+    """What some work gives, or what its exception says: one bad realisation does not end a study of thousands."""
     try:
         return work(*arguments), None
     except (MemoryError, ImportError):
@@ -209,14 +204,13 @@ def _tried(work: Callable[..., Answer], *arguments: Any) -> tuple[Answer | None,
 
 
 def _run(config: StudyConfig, task: Task, name: str, data: Realisation) -> Result:
-    """One algorithm on one realisation, timed."""
     seed = (*_seed(config, task.system, task.index), ALGORITHM_STREAM)
     algorithm = ALGORITHMS[name]
     start = time.perf_counter()
     answer = algorithm(data, config, seed)
     seconds = time.perf_counter() - start
     metrics = measure(data.train, data.test, data.truth, answer.support, answer.coef)
-    if not metrics.finite:
+    if not np.isfinite(astuple(metrics)).all():
         raise FloatingPointError("coefficients that are not finite")
     details = answer.details
     selected = tuple(data.train.names[j] for j in np.flatnonzero(answer.support))
@@ -241,11 +235,6 @@ class Metrics:
     exact: bool  # exactly the true terms are selected
     superset: bool  # all true terms are selected
 
-    @property
-    def finite(self) -> bool:
-        """Whether all of them are finite."""
-        return all(math.isfinite(getattr(self, name)) for name in METRICS)
-
 
 METRICS = tuple(f.name for f in fields(Metrics))
 
@@ -267,20 +256,13 @@ class Result:
 
 
 def prediction_error(test: Gram, estimate: Floats) -> float:
-    """e_p = ||y* - D* theta_hat|| / ||y*||, with the test dictionary unscaled, uncentred and without intercept.
-
-    By algebra on the test Gram: an uncentred moment is the centred one plus n times the product of the means.
-    """
+    """e_p = ||y* - D* theta_hat|| / ||y*|| of uncentred test rows: centred moments plus n times products of means."""
     squares = test.yty + test.n * test.target_mean**2
     return math.sqrt(test.squared_error(estimate, intercept=0.0) / squares)
 
 
 def measure(train: Gram, test: Gram, truth: Floats, support: Bools, coef: Floats) -> Metrics:
-    """All metrics of an estimate.
-
-    All is in original units: statistics of the training and the test rows, true and estimated coefficients (P,).
-    InputError without a true term in the dictionary.
-    """
+    """All metrics of an estimate (P,) in original units; InputError without a true term in the dictionary."""
     true = truth != 0
     if not true.any():
         raise InputError("the dictionary holds no true term: weight errors are not defined")
@@ -306,12 +288,9 @@ COLUMNS = ("system", "idx", "algorithm", *METRICS, "seconds", "selected", "conve
 
 
 class Store(ResultStore):
-    """A study's file; use it in a ``with`` statement.
+    """A study's file: with a configuration to run that study, without to look at it; `config` is that in the file.
 
-    With a configuration, to run that study, in a new file if there is none; without it the file is only looked at.
-    `config` is then the configuration in the file, a dict.
-
-    InputError for a file with a study of another configuration, the message names the keys; otherwise as `ResultStore`.
+    InputError for a file with a study of another configuration, whose keys it names; otherwise as `ResultStore`.
     """
 
     application, noun = 0x62797173, "a study"  # "byqs"
@@ -359,7 +338,6 @@ class Store(ResultStore):
         )
 
     def planned(self) -> Plan:
-        """What has been asked for so far."""
         rows = self._read("SELECT system, algorithm, realisations FROM plan")
         return {(system, algorithm): int(count) for system, algorithm, count in rows}
 
@@ -381,11 +359,9 @@ class Store(ResultStore):
 
     def results(self) -> Iterator[Result]:
         """All rows, by system, algorithm and index."""
+        statement = f"SELECT {', '.join(COLUMNS)} FROM results ORDER BY system, algorithm, idx"
         with self._guard():
-            for row in self._connection.execute(
-                f"SELECT {', '.join(COLUMNS)} FROM results ORDER BY system, algorithm, idx"
-            ):
-                yield _result(row)
+            yield from map(_result, self._connection.execute(statement))
 
 
 def _row(result: Result) -> tuple[Any, ...]:
@@ -435,15 +411,13 @@ def run_study(
     batch: int | None = None,
     client: Any = None,
 ) -> Outcome:
-    """Run a Monte Carlo study, or what is missing of it.
+    """Run a Monte Carlo study, or what is missing of it, which is kept in an SQLite file as it is made.
 
-    The store is an SQLite file, made if it is not there, to which further systems, algorithms and realisations of each
-    system may be added later. Without `config` it is the paper's protocol with seed 0. `jobs` processes compute, with 1
-    this process alone, or the workers of a Dask `client`; a worker does as many realisations at a time as take a
-    quarter of a second, or a `batch`. `progress` is called with (realisations done, these and the missing ones).
+    Systems, algorithms and realisations may be added later; without `config` it is the paper's protocol with seed 0.
+    `jobs` processes compute, with 1 this one alone, or the workers of a Dask `client`, a `batch` at a time, by default
+    what takes a quarter of a second. `progress` is called with (realisations done, these and the missing ones).
 
-    InputError for a name or number that cannot be used, or a store of another configuration; BayeqError where a worker
-    process was killed. What was done before KeyboardInterrupt is in the store.
+    InputError for what cannot be used, or a store of another configuration; BayeqError where a worker was killed.
     """
     config = config or StudyConfig()
     config.validate()
@@ -472,7 +446,6 @@ def run_study(
 
 
 def _tasks(keys: Sequence[Key]) -> tuple[Task, ...]:
-    """The realisations of consecutive keys."""
     groups = groupby(keys, key=lambda key: key[:2])
     return tuple(Task(system, index, tuple(key[2] for key in group)) for (system, index), group in groups)
 
@@ -490,7 +463,6 @@ def _per_batch(config: StudyConfig, task: Task) -> int:
 
 
 def _work(config: StudyConfig, batch: Sequence[Task]) -> list[Result]:
-    """A batch, in a worker or in this process."""
     results = []
     for task in batch:
         _warm(config, task.algorithms)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib.metadata import version
 from itertools import groupby
 from typing import Any, Literal
@@ -73,12 +73,10 @@ NOTES = {
 
 
 def aggregate(results: Iterable[Result], plan: Plan | None = None) -> list[Row]:
-    """Table 2: a row per system and algorithm, in the paper's order.
+    """Table 2: a row per system and algorithm, in the paper's order, of results in the order of `Store.results`.
 
-    Results are by system, algorithm and index, as `Store.results` gives them. A row has means over the `n` realisations
-    that did not fail under the names of the metrics, `e_theta_median`, Monte Carlo standard errors in `se`, the paper's
-    values (or None) in `paper`, mean `seconds`, and how many realisations failed, did not converge, or are still
-    missing of those that the plan asks for.
+    Means over the `n` realisations that did not fail, `e_theta_median`, standard errors in `se`, the paper's values (or
+    None) in `paper`, `seconds`, and how many realisations failed, did not converge, or are missing of the plan.
     """
     groups = groupby(results, key=lambda r: (r.system, r.algorithm))
     cells = {key: _cell(*key, list(group)) for key, group in groups}
@@ -185,10 +183,7 @@ def _ratios(seconds: Mapping[str, float], name: str) -> dict[str, float | None]:
 
 
 def show(store: Store, form: Format = "text", table: Literal[2, 3] = 2) -> str:
-    """The paper's Table 2 (errors and selection) or Table 3 (run times) of a study.
-
-    JSON is an object with "version", "config", "rows" and "failures"; CSV has one row per row of the JSON.
-    """
+    """The paper's Table 2 (errors and selection) or 3 (run times) of a study; CSV has the rows of the JSON."""
     failures = failure_messages(store.results())
     rows = aggregate(store.results(), store.planned())
     shown = rows if table == 2 else runtimes(rows, int(store.config.get("chains", 1)))
@@ -197,63 +192,57 @@ def show(store: Store, form: Format = "text", table: Literal[2, 3] = 2) -> str:
         return json.dumps(answer, allow_nan=False)
     if form == "csv":
         return _csv(shown)
-    head, lines = (TABLE_2_HEAD, _table_2(rows)) if table == 2 else (TABLE_3_HEAD, _table_3(shown))
+    head, lines = (TABLE_2_HEAD, [*_table_2(rows)]) if table == 2 else (TABLE_3_HEAD, [*_table_3(shown)])
     what = "errors and model selection" if table == 2 else "run times"
     title = f"Table {table}: {what} (seed {store.config.get('seed')}, smooth {store.config.get('smooth')})"
     body = _markdown(head, lines) if form == "markdown" else _text(head, lines)
     return "\n\n".join([title, body, *_notes(rows, failures, table, store.config)])
 
 
-def _table_2(rows: Sequence[Row]) -> list[list[str]]:
+def _table_2(rows: Sequence[Row]) -> Iterator[list[str]]:
     """Two lines a row: ours with its standard error, the paper's below."""
-    lines = []
     for row in rows:
         ours = [_with_error(row[name], row["se"][name]) for name in METRICS]
         ours.insert(2, "-" if row["e_theta_median"] is None else _number(row["e_theta_median"]))
-        lines.append([row["system"], row["algorithm"], str(row["n"]), *ours])
+        yield [row["system"], row["algorithm"], str(row["n"]), *ours]
         paper = row["paper"]
         if paper is not None:
             printed = [_printed(paper, name) for name in METRICS]
             printed.insert(2, "")
-            lines.append(["", f"  paper {LABELS[row['algorithm']]}", "", *printed])
-    return lines
+            yield ["", f"  paper {LABELS[row['algorithm']]}", "", *printed]
 
 
-def _table_3(rows: Sequence[Row]) -> list[list[str]]:
+def _table_3(rows: Sequence[Row]) -> Iterator[list[str]]:
     def ratio(value: float | None) -> str:
         return "-" if value is None else f"{value:.3g}"
 
-    lines = []
     for row in rows:
         paper = row["paper"] or {}
         printed = [f"{paper['seconds']:.2f}" if paper else "-", *(ratio(paper.get(name)) for name in RATIOS)]
         ours = [f"{1e3 * row['seconds']:.3g}", *(ratio(row[name]) for name in RATIOS)]
-        lines.append([row["algorithm"], str(row["n"]), *ours, *printed])
-    return lines
+        yield [row["algorithm"], str(row["n"]), *ours, *printed]
 
 
-def _notes(rows: Sequence[Row], failures: Sequence[Row], table: int, config: Mapping[str, Any]) -> list[str]:
-    notes = []
+def _notes(rows: Sequence[Row], failures: Sequence[Row], table: int, config: Mapping[str, Any]) -> Iterator[str]:
     if not rows:
-        notes.append("No results yet.")
+        yield "No results yet."
     if table == 2:
-        notes.append("Means ± Monte Carlo standard error; e_theta_s is the scaled weight error; (median) is e_theta's.")
+        yield "Means ± Monte Carlo standard error; e_theta_s is the scaled weight error; (median) is e_theta's."
     elif any(row["algorithm"] == "gibbs" for row in rows):
-        notes.append(f"gibbs: time of {config.get('chains')} chains by their number; the paper's is of a single chain.")
-    notes.extend(f"{name}: {what}." for name, what in NOTES.items() if any(row["algorithm"] == name for row in rows))
-    notes.append(f"Paper: {CITATION}.")
+        yield f"gibbs: time of {config.get('chains')} chains by their number; the paper's is of a single chain."
+    yield from (f"{name}: {what}." for name, what in NOTES.items() if any(row["algorithm"] == name for row in rows))
+    yield f"Paper: {CITATION}."
     for key, what in (("missing", "not done yet (repeat the command)"), ("unconverged", "not converged")):
         cells = [f"{row['system']}/{row['algorithm']} {row[key]}" for row in rows if row[key]]
         if cells:
-            notes.append(f"Realisations {what}: {', '.join(cells)}.")
-    notes.extend(
+            yield f"Realisations {what}: {', '.join(cells)}."
+    yield from (
         f"Failed: {f['system']}/{f['algorithm']}, {f['count']} realisations from number {f['first_index']} on:"
         f" {f['message']}"
         for f in failures[:LISTED]
     )
     if len(failures) > LISTED:
-        notes.append(f"And {len(failures) - LISTED} other kinds of failure; --json lists them.")
-    return notes
+        yield f"And {len(failures) - LISTED} other kinds of failure; --json lists them."
 
 
 def _with_error(value: float | None, error: float | None) -> str:

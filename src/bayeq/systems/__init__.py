@@ -18,12 +18,7 @@ SYSTEMS = Table("systems", System, {system.name: system for system in KNOWN})
 
 
 def get_system(name: str) -> System:
-    """The known system of this name.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is none.
+    """The known system of this name; UnknownNameError if there is none.
 
     Examples
     --------

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from bayeq.arrays import Floats
 from bayeq.errors import InputError, UnknownNameError, require_kind, require_mapping, whole_number
-from bayeq.expressions import Evaluator, Expression, Tape, parse
+from bayeq.expressions import Evaluator, Tape, parse
 from bayeq.records import Record, Truth
 from bayeq.systems.system import BandLimitedForce, System
 
@@ -92,7 +92,10 @@ def simulate(
 
         system = get_system(system)
     require_kind(system, System, "system", "the name of a system, or a System")
-    fs = _positive("fs", system.fs if fs is None else fs)
+    rate = system.fs if fs is None else fs
+    fs = _finite("fs", rate)
+    if not 1e-12 <= fs <= 1e12:
+        raise InputError(f"fs must {'be positive' if fs <= 0 else 'lie between 1e-12 and 1e12'}, not {rate!r}")
     parameter_stream, force_stream, *noise_streams = _streams(seed, 2 + len(system.channels))
     values = _parameters(system, parameters, perturb, parameter_stream)
     ratios = _ratios(system, noise)
@@ -105,12 +108,14 @@ def simulate(
             raise InputError(f"n must be at most {MAX_SAMPLES} samples, not {n}; simulate several records instead")
         inputs = _random_force(system, n, fs, force_stream)
 
-    states = _integrate(system, values, inputs, fs, interpolation)
+    known = [*system.states, *system.inputs, *system.parameters]
+    rhs = {state: parse(text, known) for state, text in system.rhs.items()}
+    states = _integrate(system, Tape.compile(rhs.values(), known), values, inputs, fs, interpolation)
     columns = dict(zip(system.states, states.T, strict=True))
     columns |= dict(zip(system.inputs, inputs.T, strict=True))
     evaluate = Evaluator({**values, **columns})
     for target, state in system.targets.items():
-        columns[target] = evaluate(_parsed(system)[state])
+        columns[target] = evaluate(rhs[state])
 
     noise_sd = _noise_sd(system, ratios, columns, states)
     measured = {
@@ -131,21 +136,10 @@ def simulate(
     )
 
 
-def _parsed(system: System) -> dict[str, Expression]:
-    """State -> right-hand side."""
-    known = [*system.states, *system.inputs, *system.parameters]
-    return {state: parse(text, known) for state, text in system.rhs.items()}
-
-
-def _tape(system: System) -> Tape:
-    """The right-hand side in states, inputs and parameters, so that parameters change without compiling."""
-    return Tape.compile(_parsed(system).values(), [*system.states, *system.inputs, *system.parameters])
-
-
 def _integrate(
-    system: System, values: Mapping[str, float], inputs: Floats, fs: float, interpolation: Interpolation
+    system: System, rhs: Tape, values: Mapping[str, float], inputs: Floats, fs: float, interpolation: Interpolation
 ) -> Floats:
-    """States at the samples, (n, states)."""
+    """States at the samples, (n, states); the tape takes states, inputs and parameters."""
     from bayeq.numerics.rk4 import Drive, check_interpolation, free_runs, interpolant
 
     check_interpolation(interpolation)
@@ -161,7 +155,7 @@ def _integrate(
     start = np.array([[system.initial[s] for s in system.states]], dtype=np.float64)
     parameters = np.array([list(values.values())], dtype=np.float64)
     stopped, states = np.zeros(1, dtype=np.uint32), np.empty((1, n, size))
-    free_runs(_tape(system).program(), drive, parameters, start, stopped, states)
+    free_runs(rhs.program(), drive, parameters, start, stopped, states)
     if stopped[0]:
         row = int(stopped[0]) - 1
         raise _diverged(system, f"at {row / fs:g} s (row {row})")
@@ -261,22 +255,11 @@ def _finite(what: str, value: float) -> float:
     return number
 
 
-def _positive(what: str, value: float) -> float:
-    number = _finite(what, value)
-    if number <= 0:
-        raise InputError(f"{what} must be positive, not {value!r}")
-    if not 1e-12 <= number <= 1e12:
-        raise InputError(f"{what} must lie between 1e-12 and 1e12, not {value!r}")
-    return number
-
-
 def band_limited_noise(force: BandLimitedForce, n: int, fs: float, rng: np.random.Generator) -> Floats:
     """(n,) samples of Gaussian noise with a flat spectrum inside a band, made in the frequency domain; fs in Hz.
 
-    Zero mean and the given standard deviation in expectation. Periodic, unless n is so short that fewer than 20
-    spectral lines lie in the band: then a piece of a longer sequence.
-
-    InputError: if no frequency below ``fs/2`` lies in the band.
+    Zero mean and the given standard deviation in expectation; periodic, unless fewer than 20 spectral lines lie in the
+    band. InputError if no frequency below ``fs/2`` does.
     """
     lo, hi = force.band
     if not 0.0 <= lo < min(hi, fs / 2):
@@ -296,10 +279,7 @@ def band_limited_noise(force: BandLimitedForce, n: int, fs: float, rng: np.rando
 
 
 def _few_periods(std: float, lo: float, hi: float, n: int, rng: np.random.Generator) -> Floats:
-    """A piece of band-limited noise so short that its own spectral lines are few; band in cycles per sample.
-
-    The lines of a longer record, summed where needed.
-    """
+    """As `band_limited_noise`, of few lines: those of a longer record, summed; the band in cycles per sample."""
     frequency = lo + (hi - lo) * np.arange(1, _LINES + 1) / _LINES
     phase = 2 * np.pi * np.outer(np.arange(n), frequency)
     amplitudes = std / math.sqrt(_LINES) * rng.standard_normal((2, _LINES))

@@ -251,7 +251,6 @@ def _of_each(name: str, given: ArrayLike, count: int, of: str, what: str) -> Flo
 
 
 def _arrays(x: ArrayLike, y: ArrayLike) -> tuple[Floats, Floats]:
-    """Library and targets as plain arrays of two dimensions."""
     D, Y = np.array(x, dtype=np.float64), np.array(y, dtype=np.float64)
     Y = Y[:, None] if Y.ndim == 1 else Y
     if D.ndim != 2 or Y.ndim != 2 or len(D) != len(Y) or not D.shape[1] or not Y.shape[1]:

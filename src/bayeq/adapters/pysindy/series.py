@@ -25,11 +25,8 @@ from itertools import pairwise
 import numpy as np
 
 from bayeq.arrays import Bools, Complexes, Floats
-from bayeq.inference.collapsed.problem import Problem
-from bayeq.inference.collapsed.search import best_models
-from bayeq.inference.collapsed.slab import exact_posterior, learn_slab_variance, residual_scale
+from bayeq.inference.collapsed.slab import likeliest_by_rows
 from bayeq.inference.gram import Gram
-from bayeq.inference.prior import Prior
 
 # Share of a piece that is tapered at either end, and the least number of rows; this many times the inverse of the
 # band's width, since that is how far a smoother's errors at the ends reach; and not more than this share.
@@ -123,7 +120,7 @@ def series_grams(Z: Floats, T: Floats, pieces: Sequence[slice], floors: Floats) 
     inner = [slice(p.start + spare, p.stop - spare) for p in pieces]
     library = [Z[p] for p in inner]
     targets = [[T[p, k] for p in inner] for k in range(T.shape[1])]
-    highest = min(_band_end(t, _left(library, t)) for t in targets)
+    highest = min(_band_end(library, t) for t in targets)
     out = []
     for t, floor in zip(targets, floors, strict=True):
         bands = _with_differences(Z, pieces, library, t, highest)
@@ -187,14 +184,10 @@ def _differences(t: Floats) -> Floats:
     return np.column_stack(out)
 
 
-def _left(D: Sequence[Floats], t: Sequence[Floats]) -> list[Floats]:
-    """What all columns together leave of the target, piece by piece."""
+def _band_end(D: Sequence[Floats], t: Sequence[Floats]) -> float:
+    """Frequency [1/row] below which a target stands out of what all columns together leave of it."""
     coef = np.linalg.lstsq(np.concatenate(D), np.concatenate(t))[0]
-    return [y - d @ coef for d, y in zip(D, t, strict=True)]
-
-
-def _band_end(t: Sequence[Floats], left: Sequence[Floats]) -> float:
-    """Frequency [1/row] below which a target stands out of its residual."""
+    left = [y - d @ coef for d, y in zip(D, t, strict=True)]
     frequency = np.concatenate([np.fft.rfftfreq(len(y)) for y in t])
     order = np.argsort(frequency, kind="stable")
     reach = COARSE * len(t)
@@ -281,12 +274,15 @@ def _banded(bands: Sequence[Band], terms: int, floor: float) -> Gram:
     for _ in range(PILOTS):
         whole, gram, unit = _weighted(bands, terms, _spectrum(bands, coef, floor), floor)
         coef = np.zeros(terms + ORDERS)
-        coef[:terms] = _pilot(gram)
+        coef[:terms] = likeliest_by_rows(gram)[1]
         E = slice(terms, None)
         ridged = whole.DtD[E, E] + np.diag(unit / COMPLETION**2)
         coef[E] = np.linalg.solve(ridged, whole.Dty[E] - whole.DtD[E, :terms] @ coef[:terms])
     spectrum = _spectrum(bands, coef, floor)
-    counted = _counted(bands, coef, floor, spectrum)
+    # A bin whose residual is below the density that weights it is worth less: beyond the pass band of a smoothed motion
+    # it is next to nothing, and would be evidence that the noise is small in the others too.
+    own = residual_spectrum(bands, coef)
+    counted = sum(float(b.count @ ((o + floor**2) / s)) for b, o, s in zip(bands, own, spectrum, strict=True))
     return replace(_weighted(bands, terms, spectrum, floor)[1], n=counted, dof=counted)
 
 
@@ -296,16 +292,6 @@ def _spectrum(bands: Sequence[Band], coef: Floats, floor: float) -> list[Floats]
     order = np.argsort(np.concatenate([b.frequency for b in bands]), kind="stable")
     found[order] = np.maximum.accumulate(found[order])
     return np.split(found + floor**2, np.cumsum([len(b.frequency) for b in bands])[:-1])
-
-
-def _counted(bands: Sequence[Band], coef: Floats, floor: float, spectrum: Sequence[Floats]) -> float:
-    """How many numbers the bins are worth: one whose residual is below the density that weights it is worth less.
-
-    Beyond the pass band of a smoothed motion the residual is next to nothing. Counted as whole ones, such bins would be
-    evidence that the noise is small in the others too.
-    """
-    own = residual_spectrum(bands, coef)
-    return sum(float(b.count @ ((o + floor**2) / s)) for b, o, s in zip(bands, own, spectrum, strict=True))
 
 
 def _weighted(bands: Sequence[Band], terms: int, spectrum: Sequence[Floats], floor: float) -> tuple[Gram, Gram, float]:
@@ -323,13 +309,3 @@ def _weighted(bands: Sequence[Band], terms: int, spectrum: Sequence[Floats], flo
         yty=max(whole.yty - float(whole.Dty[E] @ share @ whole.Dty[E]), 0.0) + whole.n * floor**2,
     )
     return whole, gram, unit
-
-
-def _pilot(gram: Gram) -> Floats:
-    """Coefficients of the likeliest model."""
-    standard = gram.standardise(residual_scale(gram))
-    prior = Prior()
-    prior = replace(prior, slab_variance=learn_slab_variance(standard.gram, prior))
-    problem = Problem.of(standard.gram, prior)
-    coef, _ = exact_posterior(problem, best_models(problem)[0][1])
-    return np.asarray(coef * standard.target_scale / standard.scale)

@@ -39,14 +39,12 @@ KINDS: dict[str, type[Any]] = {kind.__name__: kind for kind in (OfRows, Folded, 
 
 
 def cache_folder() -> Path | None:
-    """The user's folder for what can be computed again; None where there is no home."""
-    given = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
-    if given:
-        return Path(given) / "bayeq"
+    """The user's folder for sums on the way; None where there is no home."""
     try:
-        return Path.home() / ".cache" / "bayeq"
+        given = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA") or Path.home() / ".cache"
     except RuntimeError:
         return None
+    return Path(given) / "bayeq" / "checkpoints"
 
 
 @dataclass(eq=False)

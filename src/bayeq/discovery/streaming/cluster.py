@@ -17,7 +17,7 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import reduce
+from functools import partial, reduce
 from importlib.metadata import PackageNotFoundError, version
 from operator import add
 from pathlib import Path
@@ -154,7 +154,6 @@ class Cluster:
             return max(1, sum(self.client.nthreads().values()))
 
     def _first(self, futures: Sequence[Any]) -> Any:
-        """The first of some tasks that is done."""
         from distributed import wait
 
         def look(timeout: float) -> Any:
@@ -431,7 +430,6 @@ def dask_streams(data: Any, client: Any, channels: Sequence[str], time: Any = No
 
 
 def _frame(data: Any) -> Any:
-    """A Dask DataFrame."""
     import dask.array as da
     import dask.dataframe as dd
 
@@ -466,8 +464,8 @@ def _stream(frame: Any, name: str, client: Any, channels: Sequence[str], time: s
     if not kept:
         raise RecordError(f"{name}: no rows")
     bounds = (0, *np.cumsum([lengths[k] for k in kept]).tolist())
-    make = delayed(_record)
-    return DaskStream(name, bounds, tuple(make(parts[k], time, tuple(channels)) for k in kept), client)
+    make = partial(delayed(Record.from_dataframe), time=time, columns=list(channels) or None)
+    return DaskStream(name, bounds, tuple(make(parts[k]) for k in kept), client)
 
 
 def _needed(empty: Any, channels: Sequence[str], time: str | None) -> list[Any]:
@@ -483,8 +481,3 @@ def _needed(empty: Any, channels: Sequence[str], time: str | None) -> list[Any]:
             where = str(empty.index.name) if k < first else str(empty.columns[k - first])
             raise InputError(f"data frame, column {where!r}: holds dates; write the time in seconds")
     return [empty.columns[k - first] for k in found if k >= first]
-
-
-def _record(frame: Any, time: str | None, channels: tuple[str, ...]) -> Record:
-    """A partition as a record."""
-    return Record.from_dataframe(frame, time=time, columns=list(channels) or None)

@@ -22,7 +22,6 @@ from bayeq.discovery.streaming.work import (
     Work,
     fold,
     units_of,
-    with_all_rows,
 )
 from bayeq.errors import DataWarning, RecordError, WarningLog, some_of
 from bayeq.expressions import Expression
@@ -32,7 +31,7 @@ from bayeq.likelihood.block import Block, Curvature, curvature, relearned
 from bayeq.likelihood.record_fit import RecordFit
 from bayeq.numerics.settings import STREAMING
 from bayeq.regression.design import Design, usable_terms
-from bayeq.regression.residuals import Residuals
+from bayeq.regression.residuals import Residuals, memory_of
 from bayeq.resumable import Progress
 from bayeq.states import Motion
 from bayeq.states.bad_samples import Learned
@@ -139,9 +138,11 @@ class Whole:
         mean = gram.target_mean - float(gram.mean[kept] @ posterior.coef[kept])
         terms = tuple(design.terms[int(j)] for j in kept)
         target = design.motion.roles.targets[k]
-        lagged = LaggedResiduals(work.extents, work.roles, terms, work.share, target, posterior.coef[kept], mean)
+        each = LaggedResiduals(work.extents, work.roles, terms, work.share, target, posterior.coef[kept], mean)
         about = (work.roles, design.names, posterior.coef.tolist(), k, work.share)
-        return with_all_rows(found, self._fold(lagged, units_of(self.extents), "residuals", about))
+        lagged = self._fold(each, units_of(self.extents), "residuals", about)
+        lag1, n_eff = memory_of(lagged.products, lagged.n)
+        return replace(found, n=lagged.n, lag1=lag1, n_eff=n_eff, discrepancy=None)
 
     def _fold(self, work: Work[Of], units: Sequence[Unit], stage: str, about: object) -> Of:
         return fold(work, units, self.executor, self.progress, stage, self.checkpoints.of_stage(stage, (about, units)))

@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
 from typing import Any, Generic, Protocol, Self, TypeVar
@@ -27,7 +28,7 @@ from bayeq.likelihood.model import Task
 from bayeq.numerics.settings import STREAMING
 from bayeq.records import Record, counts_rows, with_row_numbers
 from bayeq.records.stream import Stream, units_between
-from bayeq.regression.residuals import Residuals
+from bayeq.regression.residuals import correlation
 from bayeq.resumable import Progress
 from bayeq.states import Motion, Roles
 from bayeq.states.bad_samples import Learned
@@ -383,11 +384,8 @@ class Lagged:
 
 def _products(a: Floats, b: Floats) -> Floats:
     """Sum of a(t + k) b(t) at each lag."""
-    out = np.zeros(LAGS)
-    size = 1 << (2 * max(len(a), 1) - 1).bit_length()
-    found = np.fft.irfft(np.fft.rfft(a, size) * np.fft.rfft(b, size).conj(), size)[: min(len(a), LAGS)]
-    out[: len(found)] = found
-    return out
+    found = correlation([a], [b])[:LAGS]
+    return np.pad(found, (0, LAGS - len(found)))
 
 
 @dataclass(frozen=True)
@@ -405,16 +403,6 @@ class LaggedResiduals(_Rows[Lagged]):
         for term, theta in zip(self.terms, self.coef.tolist(), strict=True):
             e = e - theta * evaluate(term)
         return Lagged.of(e, unit.extent)
-
-
-def with_all_rows(found: Residuals, lagged: Lagged) -> Residuals:
-    """What was found of some residuals, with the correlation of all of them."""
-    rho = lagged.products / lagged.products[0] if lagged.products[0] > 0 else np.zeros(1)
-    negative = np.flatnonzero(rho <= 0)
-    last = int(negative[0]) if len(negative) else len(rho)
-    n_eff = lagged.n / (1.0 + 2.0 * float(rho[1:last].sum()))
-    lag1 = float(rho[1]) if len(rho) > 1 else 0.0
-    return replace(found, n=lagged.n, lag1=lag1, n_eff=n_eff, discrepancy=None)
 
 
 @dataclass(frozen=True)
@@ -435,7 +423,7 @@ class ByLikelihood(Work[Block]):
 
     def __call__(self, unit: Unit) -> Block:
         record, roles = self.extents[unit.extent].read(unit.start, unit.stop), self.motion.roles
-        (clean,), _ = cleaned([record], roles, "auto", self.learned.copy())
+        (clean,), _ = cleaned([record], roles, "auto", deepcopy(self.learned))
         pieces, _ = divided_at_gaps([clean], roles, "auto")
         block = block_of(self.task, self.state, [further_rows(piece, self.motion) for piece in pieces if piece.n > 1])
         used = (*roles.measured, *roles.inputs)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from bayeq.arrays import Floats
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.forecast.dynamics import Dynamics
-from bayeq.forecast.free_run import ANYWHERE, mean_run, state_range
+from bayeq.forecast.free_run import mean_run, state_range
 from bayeq.numerics.rk4 import Drive, interpolant, slope_at
 from bayeq.numerics.settings import PLAN
 from bayeq.records import Record
@@ -69,10 +70,7 @@ def noise(n: int, fs: float, band: Band, rng: np.random.Generator) -> Floats:
 
 
 def multisine(n: int, fs: float, band: Band, rng: np.random.Generator) -> Floats:
-    """One period of the odd lines of the band, of equal amplitude and random phase.
-
-    Pintelon and Schoukens 2012, section 5.2.
-    """
+    """One period of the band's odd lines, equal amplitudes and random phases (Pintelon and Schoukens 2012, 5.2)."""
     lines = lines_within(n, fs, band, odd=True)
     return _synthesised(n, lines, np.exp(2j * np.pi * rng.random(len(lines))))
 
@@ -110,15 +108,12 @@ LEAST_SAMPLES = 16
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """Records as a plan needs them: rate [Hz], None without time, and length [s] of the longest one.
+    """Records as a plan needs them."""
 
-    Also the least and largest sample of every channel, and the band where the power of every input is [Hz].
-    """
-
-    fs: float | None = None
-    seconds: float | None = None
-    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    bands: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    fs: float | None = None  # rate [Hz] of the longest one; None without time
+    seconds: float | None = None  # its length
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # ends of the samples of every channel
+    bands: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # [Hz], where the power of every input is
 
     @classmethod
     def of(cls, records: Sequence[Record], channels: Sequence[str], inputs: Sequence[str]) -> Self:
@@ -137,8 +132,6 @@ class Measured:
 def band_of(samples: NDArray[np.float64], fs: float) -> tuple[float, float] | None:
     """Frequencies [Hz] between which the power of a signal is; None of a constant.
 
-    Examples
-    --------
     >>> time = np.arange(1000) / 100
     >>> low, high = band_of(np.sin(2 * np.pi * 3 * time) + np.sin(2 * np.pi * 7 * time), fs=100)
     >>> round(low, 6), round(high, 6)
@@ -160,20 +153,16 @@ def band_of(samples: NDArray[np.float64], fs: float) -> tuple[float, float] | No
 
 @dataclass(frozen=True)
 class Conditions:
-    """What may be done, and what is known.
+    """What may be done, and what is known."""
 
-    Middle and half width of the range of each of the m inputs, band and rate [Hz], samples, standard deviation of the
-    noise of every target, largest magnitude of states, and ranges of the channels of the record.
-    """
-
-    offset: Floats
-    reach: Floats
-    band: tuple[float, float]
-    n: int
-    fs: float
-    noise: tuple[float, ...]
-    limits: Mapping[str, float]
-    ranges: Mapping[str, tuple[float, float]]
+    offset: Floats  # (m,), middle of the range of each input
+    reach: Floats  # (m,), half its width
+    band: tuple[float, float]  # [Hz]
+    n: int  # samples
+    fs: float  # their rate [Hz]
+    noise: tuple[float, ...]  # standard deviation of that of every target
+    limits: Mapping[str, float]  # largest magnitude of states
+    ranges: Mapping[str, tuple[float, float]]  # of the channels of the record
 
     @property
     def seconds(self) -> float:
@@ -287,9 +276,8 @@ SHARES = (1.0, 0.5)
 # Besides the whole band, this many parts of it, equal in octaves.
 PARTS = 3
 
-
-# Bisections towards the largest amplitude within limits: it is found to 0.1 % of the range.
-HALVINGS = 10
+# The largest amplitude within limits is found to 0.1 % of the range.
+STEPS = 1024
 
 
 @dataclass(frozen=True, slots=True)
@@ -336,19 +324,15 @@ class Motions:
     def __init__(self, dynamics: Dynamics, conditions: Conditions) -> None:
         self.dynamics = dynamics
         self.conditions = conditions
-        spans = [conditions.ranges.get(name) for name in dynamics.states]
-        known = [state_range(np.array([[low], [high]])) for low, high in (span or (0.0, 0.0) for span in spans)]
-        self.low = np.array([low[0] for low, _ in known])
-        self.high = np.array([high[0] for _, high in known])
-        self.limits = np.array([conditions.limits.get(name, ANYWHERE) for name in dynamics.states])
-        self.first = self._rest(spans)
+        ends = np.array([conditions.ranges.get(name, (0.0, 0.0)) for name in dynamics.states])
+        self.low, self.high = state_range(ends.T)
+        self.first = self._rest(ends)
 
-    def _rest(self, spans: Sequence[tuple[float, float] | None]) -> Floats:
+    def _rest(self, ends: Floats) -> Floats:
         from scipy.optimize import root
 
-        chains = self.dynamics.chains
-        lowest = [k == 0 for chain in chains for k in range(len(chain.states))]
-        middle = np.array([0.5 * sum(span or ()) if low else 0.0 for span, low in zip(spans, lowest, strict=True)])
+        lowest = [k == 0 for chain in self.dynamics.roles.chains for k in range(len(chain.states))]
+        middle = np.where(lowest, ends.mean(axis=1), 0.0)
         program = self.dynamics.program(self.dynamics.mean)
         still = interpolant(np.array([0.0, 1.0]), np.tile(self.conditions.offset, (2, 1)), "hold")
 
@@ -359,10 +343,9 @@ class Motions:
 
         with np.errstate(all="ignore"):
             found = root(slope, middle)
-        inside = all(
-            span is None or span[0] <= value <= span[1] for span, value in zip(spans, found.x, strict=True)
-        ) and bool(np.isfinite(found.x).all())
-        return np.asarray(found.x) if found.success and inside else middle
+        unknown = [name not in self.conditions.ranges for name in self.dynamics.states]
+        inside = unknown | ((ends[:, 0] <= found.x) & (found.x <= ends[:, 1]))
+        return np.asarray(found.x) if found.success and (inside & np.isfinite(found.x)).all() else middle
 
     def run(self, shape: Floats, share: float) -> Mapping[str, Floats] | None:
         """States and inputs under ``offset + share reach shape``, of shape (n, m); None if they leave every range."""
@@ -373,29 +356,18 @@ class Motions:
         states, stopped, _ = mean_run(self.dynamics, self.dynamics.mean, self.first, drive)
         if stopped is not None:
             return None
-        return dict(zip((*self.dynamics.states, *self.dynamics.inputs), (*states.T, *inputs.T), strict=True))
+        return dict(zip((*self.dynamics.states, *self.dynamics.roles.inputs), (*states.T, *inputs.T), strict=True))
 
-    def keeps(self, columns: Mapping[str, Floats] | None) -> bool:
-        """Whether a motion is within the limits."""
-        if columns is None:
-            return False
-        peaks = [np.abs(columns[name]).max() for name in self.dynamics.states]
-        return bool((np.array(peaks) <= self.limits).all())
+    def keeps(self, shape: Floats, share: float) -> bool:
+        """Whether a run is within the limits."""
+        columns, limits = self.run(shape, share), self.conditions.limits
+        return columns is not None and all(np.abs(columns[name]).max() <= most for name, most in limits.items())
 
 
 def largest_share(motions: Motions, realisations: Sequence[Floats]) -> float:
-    """The largest share of the amplitude with which all realisations keep the limits, by bisection.
-
-    0 if even a thousandth does not.
-    """
+    """The largest share of the amplitude with which all realisations keep the limits; 0 if not even a thousandth."""
 
     def fits(scale: float) -> bool:
-        return all(motions.keeps(motions.run(shape, scale)) for shape in realisations)
+        return all(motions.keeps(shape, scale) for shape in realisations)
 
-    if fits(1.0):
-        return 1.0
-    low, high = 0.0, 1.0
-    for _ in range(HALVINGS):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if fits(middle) else (low, middle)
-    return low
+    return 1.0 if fits(1.0) else bisect_left(range(1, STEPS), True, key=lambda k: not fits(k / STEPS)) / STEPS

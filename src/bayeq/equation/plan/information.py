@@ -32,15 +32,11 @@ KEPT = 10
 
 @dataclass(frozen=True, slots=True)
 class CandidateModel:
-    """A model of one equation: the places of its terms among the candidates, and their coefficients.
+    """A model of one equation."""
 
-    Coefficients and intercept are posterior means given the model, in original units. The probability is that of the
-    model; of an engine that does not average, relative to its neighbours.
-    """
-
-    probability: float
-    members: tuple[int, ...]
-    coef: tuple[float, ...]
+    probability: float  # of an engine that does not average, relative to its neighbours
+    members: tuple[int, ...]  # places of its terms among the candidates
+    coef: tuple[float, ...]  # posterior means given the model, in original units
     intercept: float
 
     def posterior(self, like: Posterior) -> Posterior:
@@ -85,9 +81,6 @@ def likeliest_models(fit: RegressionFit) -> tuple[CandidateModel, ...]:
 # Directions of the centred and scaled terms below this share of the largest are rounding.
 RANK = 1e-10
 
-# Bisections of a time: to one part in 2^50 of the bracket.
-BISECTIONS = 50
-
 
 def _centred(D: Floats) -> tuple[Floats, Floats]:
     """Columns without their means, of unit length, and their lengths."""
@@ -100,8 +93,6 @@ def _centred(D: Floats) -> tuple[Floats, Floats]:
 def unexplained(y: Floats, D: Floats) -> float:
     """Sum of squares that least squares on the columns of D, with an intercept, leaves of y.
 
-    Examples
-    --------
     >>> x = np.linspace(-1, 1, 1001)
     >>> unexplained(3 * x + 2, x[:, None]) < 1e-20
     True
@@ -123,8 +114,6 @@ def seconds_until(needed: float, rate: float, occam: float, fs: float) -> float:
     `needed` in nats, `rate` is lambda by second, at least 0, `occam` the coefficients that the rival has more, `fs` in
     Hz.
 
-    Examples
-    --------
     >>> round(seconds_until(10.0, 2.0, 0, 100.0), 6)
     5.0
     >>> seconds_until(10.0, 0.0, -1, 100.0)
@@ -172,11 +161,10 @@ def seconds_to_halve(gains: Floats, seconds: float) -> float:
 
 def _reached(value: Callable[[float], float], needed: float, low: float, high: float) -> float:
     """Where a rising function reaches a value, not before `low` and perhaps beyond `high`; infinite if nowhere."""
+    from scipy.optimize import brentq
+
     while value(high) < needed:
         high *= 2.0
         if not math.isfinite(high):
             return math.inf
-    for _ in range(BISECTIONS):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if value(middle) < needed else (low, middle)
-    return high
+    return float(brentq(lambda t: value(t) - needed, low, high, xtol=np.finfo(np.float64).tiny))

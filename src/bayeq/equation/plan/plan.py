@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import compress
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,6 +26,7 @@ from bayeq.forecast.dynamics import Dynamics, Law
 from bayeq.inference.posterior import Posterior
 from bayeq.numerics.settings import PLAN
 from bayeq.resumable import Progress
+from bayeq.states import Roles
 
 if TYPE_CHECKING:
     from bayeq.equation.equation import Equation
@@ -56,16 +58,15 @@ def plan_excitation(
         raise InputError(f"odds must be a number above 1, not {odds!r}")
     whole_number("realisations", realisations, 2)
     whole_number("seed", seed, 0)
-    return _Planning(equations, inputs, conditions, odds).plan(realisations, seed, progress)
+    roles = Roles(tuple(equation.chain for equation in equations), tuple(inputs))
+    return _Planning(equations, roles, conditions, odds).plan(realisations, seed, progress)
 
 
 class _Planning:
     """Equations with the models that a measurement is to tell apart, and the conditions of it."""
 
-    def __init__(
-        self, equations: Sequence[Equation], inputs: Sequence[str], conditions: Conditions, odds: float
-    ) -> None:
-        self.equations, self.inputs, self.conditions, self.odds = equations, inputs, conditions, odds
+    def __init__(self, equations: Sequence[Equation], roles: Roles, conditions: Conditions, odds: float) -> None:
+        self.equations, self.roles, self.conditions, self.odds = equations, roles, conditions, odds
         self.leading = [_leading(equation) for equation in equations]
         listed = [(k, model) for k, equation in enumerate(equations) for model in equation.models[1:]]
         self.listed = sorted(listed, key=lambda one: -one[1].probability / equations[one[0]].models[0].probability)
@@ -77,7 +78,7 @@ class _Planning:
 
     def _motions(self, models: Sequence[Posterior]) -> Motions:
         laws = [Law(e.chain, e.terms, model, e.unit_gains) for e, model in zip(self.equations, models, strict=True)]
-        return Motions(Dynamics.of(laws, self.inputs), self.conditions)
+        return Motions(Dynamics.of(laws, self.roles), self.conditions)
 
     def _rival(self, k: int, model: CandidateModel) -> Rival:
         equation = self.equations[k]
@@ -92,7 +93,7 @@ class _Planning:
 
     def plan(self, realisations: int, seed: int, progress: Progress) -> Plan:
         """Simulate all designs, and rank them."""
-        c, inputs = self.conditions, self.inputs
+        c, inputs = self.conditions, self.roles.inputs
         largest = max(int(model.support.sum()) for model in [*self.leading, *(rival.model for rival in self.rivals)])
         designs = designs_for(c, largest)
         outcomes = []
@@ -142,13 +143,13 @@ class _Planning:
         """What realisations of a design, at a share of the amplitude that keeps the limits, are expected to tell."""
         lead, seconds_each = self.lead, self.conditions.seconds
         runs = [run for shape in realised if (run := lead.run(shape, share)) is not None]
-        peaks = {name: float(np.mean([np.abs(run[name]).max() for run in runs])) for name in lead.dynamics.states}
-        separations: list[Separation] = []
-        if self.rivals:
-            for place, rival in enumerate(self.rivals):
-                own = [rival.motions.run(shape, share) for shape in realised]
-                separations.append(self._separation(rival, place, runs, own))
-            separations.sort(key=lambda one: one.rate)
+        peaks = {name: float(np.mean([np.abs(run[name]).max() for run in runs])) for name in self.roles.states}
+        separations = [
+            self._separation(rival, place, runs, [rival.motions.run(shape, share) for shape in realised])
+            for place, rival in enumerate(self.rivals)
+        ]
+        separations.sort(key=lambda one: one.rate)
+        if separations:
             rate, sd, seconds = separations[0].rate, separations[0].sd, max(one.seconds for one in separations)
         else:
             known = list(zip(self.equations, self.leading, self.conditions.noise, strict=True))
@@ -159,7 +160,7 @@ class _Planning:
             rates = np.array([0.5 * float(np.log1p(gain).sum()) for gain in gains]) / seconds_each
             rate, sd = float(rates.mean()), float(rates.std(ddof=1))
             seconds = float(np.mean([seconds_to_halve(gain, seconds_each) for gain in gains]))
-        amplitudes = dict(zip(lead.dynamics.inputs, (share * self.conditions.reach).tolist(), strict=True))
+        amplitudes = dict(zip(self.roles.inputs, (share * self.conditions.reach).tolist(), strict=True))
         return Outcome(design, amplitudes, share not in SHARES, rate, sd, seconds, peaks, tuple(separations))
 
     def _separation(
@@ -197,29 +198,27 @@ class _Planning:
 
 def _leading(equation: Equation) -> Posterior:
     """The likeliest model; with the coefficients of the terms shown, where it is theirs: these may be refined."""
-    shown = equation.shown_posterior
-    likeliest = equation.models[0]
-    if tuple(np.flatnonzero(shown.support).tolist()) == likeliest.members:
-        return shown
-    return likeliest.posterior(shown)
+    shown, likeliest = equation.shown_posterior, equation.models[0]
+    return shown if _members(shown) == likeliest.members else likeliest.posterior(shown)
+
+
+def _members(model: Posterior) -> tuple[int, ...]:
+    return tuple(np.flatnonzero(model.support).tolist())
 
 
 def _named(equation: Equation, leading: Posterior) -> Compared:
-    """A leading model by its terms."""
-    members = tuple(np.flatnonzero(leading.support).tolist())
+    members = _members(leading)
     probability = next((model.probability for model in equation.models if model.members == members), None)
     return Compared(equation.target, ", ".join(equation.terms[j].text for j in members) or "no terms", probability)
 
 
 def _compared(equation: Equation, leading: Posterior, model: CandidateModel) -> Compared:
     """A rival by the terms that it has more and less than the leading model."""
-    names = [equation.terms[j].text for j in model.members]
-    own = [t.text for t, kept in zip(equation.terms, leading.support, strict=True) if kept]
-    more = ", ".join(name for name in names if name not in own)
-    less = ", ".join(name for name in own if name not in names)
-    if more and less:
-        return Compared(equation.target, f"{more} instead of {less}", model.probability)
-    return Compared(equation.target, f"with {more} added" if more else f"without {less}", model.probability)
+    own = _members(leading)
+    more = ", ".join(equation.terms[j].text for j in model.members if j not in own)
+    less = ", ".join(equation.terms[j].text for j in own if j not in model.members)
+    differs = f"{more} instead of {less}" if more and less else f"with {more} added" if more else f"without {less}"
+    return Compared(equation.target, differs, model.probability)
 
 
 def _contains(one: Posterior, other: Posterior) -> bool:
@@ -235,5 +234,4 @@ def _inimitable(equation: Equation, true: Posterior, other: Posterior, run: Mapp
 
 
 def _columns(equation: Equation, model: Posterior, run: Mapping[str, Floats]) -> Floats:
-    terms = [term for term, kept in zip(equation.terms, model.support, strict=True) if kept]
-    return evaluate_terms(terms, run)
+    return evaluate_terms([*compress(equation.terms, model.support)], run)

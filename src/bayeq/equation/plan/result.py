@@ -17,6 +17,7 @@ from bayeq.equation.written import finite
 from bayeq.errors import in_digits
 from bayeq.figures.style import BLACK, BLUE, FULL_WIDTH, ORANGE, RED, log_ticks, new_figure, picture
 from bayeq.markup import printed, text_console
+from bayeq.records.io import replacing
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -248,8 +249,6 @@ class Plan:
         """
         import pandas as pd
 
-        from bayeq.records.io import replacing
-
         with replacing(Path(file)) as part:
             pd.DataFrame({"time": self.time, **self.inputs}).to_csv(part, index=False)
 
@@ -257,8 +256,6 @@ class Plan:
 def duration(seconds: float) -> str:
     """A time as text.
 
-    Examples
-    --------
     >>> [duration(t) for t in (0.0, 0.0312, 12.4, 400.0, 9000.0, 1e30)]
     ['0 s', '0.031 s', '12 s', '6.7 min', '2.5 h', 'never']
     """
@@ -356,7 +353,6 @@ def _short(plan: Plan, rival: Compared) -> str:
 
 
 def _models(plan: Plan) -> list[str]:
-    """The models compared."""
     out = []
     for model in plan.leading:
         chance = "" if model.probability is None else f", probability {model.probability:.2g}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,10 +11,10 @@ import numpy as np
 
 from bayeq.arrays import Bools, Floats
 from bayeq.equation.refine.output_error import Known, OutputError, Unrefined, output_error
-from bayeq.errors import ConvergenceWarning, DataWarning, RecordError, WarningLog, in_digits, some_of
+from bayeq.errors import BayeqWarning, ConvergenceWarning, DataWarning, RecordError, in_digits, some_of
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import apart, typical_period, window_runs
-from bayeq.forecast.rows import Courses, Rows, divided, predicted_target, rows_of
+from bayeq.forecast.rows import Courses, Rows, divided, predicted_target, require_time, rows_of
 from bayeq.forecast.score import Scores, percentages, score_rows
 from bayeq.inference.posterior import Posterior
 from bayeq.numerics.rk4 import Interpolation
@@ -83,14 +83,11 @@ class Refinement:
         return f"coefficients refined by output error: {runs} of up to {self.longest} rows, noise sd {noise}{bound}"
 
 
-@dataclass(frozen=True, eq=False)
-class RefinedEquations:
-    """The equations in their order, how they were refined, how they do on the rows held out, and what to beware of."""
+# A posterior, and what else changes of its `Equation`.
+Changed = tuple[Posterior, dict[str, Any]]
 
-    equations: tuple[tuple[Posterior, dict[str, Any]], ...]  # posteriors, and what else changes of each `Equation`
-    summary: Refinement
-    scores: Scores | None
-    log: WarningLog
+# What to beware of.
+Doubt = tuple[str, type[BayeqWarning]]
 
 
 def refine(
@@ -103,14 +100,14 @@ def refine(
     interpolation: Courses,
     constraints: Sequence[Constraints],
     sensors: Sensors,
-) -> RefinedEquations | Unrefined:
+) -> tuple[list[Changed], Refinement, Scores | None, list[Doubt]] | Unrefined:
     """Output-error estimate of the coefficients and intercepts; see `bayeq.Equations.refine`.
 
     `before` are the equations by regression, with all intercepts; `dynamics` the same with the intercepts that are
     estimated, the others are set to zero. Constraints are those of each equation. Known noise of channels is not
     estimated. Inputs go between their samples as is given of all of them, or by what is likeliest, found before or one
     of `KINDS`. Where equations are refined, free runs over windows of the rows used are no worse than before; see
-    `runs_are_worse`.
+    `runs_are_worse`. Scores are those of the rows held out.
 
     InputError: channels that are missing, no time, too few rows, nothing that constraints leave free.
     """
@@ -118,11 +115,12 @@ def refine(
     kinds: list[Interpolation] = ["cubic"]
     if isinstance(interpolation, str):
         kinds = [interpolation]
-    elif dynamics.inputs:
+    elif dynamics.roles.inputs:
         kinds = list(dict.fromkeys([*KINDS, *interpolation.values()]))
     share = held_out_share(holdout, sum(one.n for one in records))
     measured = motion = estimate_motion(records, dynamics.roles, smooth, share, sensors)
-    rows = rows_of(measured, "refine")
+    for rows in measured.records:
+        require_time(rows, "refine")
     if not motion.smoothing:
         motion = estimate_motion(records, dynamics.roles, "auto", share, sensors)
     for piece in motion.train:
@@ -135,8 +133,7 @@ def refine(
     found = output_error(motion, dynamics, dynamics.mean, known, kinds)
     if isinstance(found, Unrefined):
         return found
-    whole = [one.interpolated(dynamics.roles, found.interpolation) for one in rows]
-    train, held_out = divided(measured, whole)
+    train, held_out = divided(measured, rows_of(measured, "refine", found.interpolation))
     duration = REFINE.windows * typical_period(dynamics, train)
     runs = [window_runs(before, train, duration), window_runs(dynamics, train, duration, found.parameters)]
     former, now = (apart(pairs) for pairs in runs)
@@ -147,10 +144,9 @@ def refine(
             f" %{', which may be chance' if now < former else ''}",
             "keep the equations",
         )
-    scores, worse, bound = None, list[str](), _at_bound(dynamics, found)
+    bound, scores = _at_bound(dynamics, found), None
     if held_out:
-        scores = score_rows(dynamics, found.parameters, held_out)
-        worse = _worse_scores(score_rows(before, before.mean, held_out), scores)
+        scores = score_rows(before, before.mean, held_out), score_rows(dynamics, found.parameters, held_out)
     summary = Refinement(
         files=tuple(dict.fromkeys(rows.name for rows in motion.train)),
         n=sum(rows.n for rows in motion.train),
@@ -162,37 +158,31 @@ def refine(
         at_bound=bound,
     )
     refined = [_refined(dynamics, k, block, found, train, held_out) for k, block in enumerate(dynamics.blocks())]
-    return RefinedEquations(tuple(refined), summary, scores, _doubts(found, bound, worse))
+    return refined, summary, scores and scores[1], list(_doubts(found, bound, scores))
 
 
-def _doubts(found: OutputError, bound: Sequence[str], worse: Sequence[str]) -> WarningLog:
-    """What the fit says against itself; `worse` are notes on scores."""
-    log = WarningLog()
+def _doubts(found: OutputError, bound: Sequence[str], scores: tuple[Scores, Scores] | None) -> Iterator[Doubt]:
+    """What the fit says against itself, and scores on the rows held out against those before."""
     if found.excess > 1.0:
-        log.warn(
-            "what free runs leave is correlated in time: variances of coefficients are"
-            f" {in_digits(found.excess)} times those of white noise; add terms",
-            DataWarning,
-        )
-    log.extend(worse, ConvergenceWarning)
+        times = f"variances of coefficients are {in_digits(found.excess)} times those of white noise"
+        yield f"what free runs leave is correlated in time: {times}; add terms", DataWarning
+    if scores is not None:
+        before, after = scores
+        more = 1.0 + SURE / math.sqrt(2 * after.rows)  # the standard error of a root mean square
+        worse = [name for name, error in after.free_run.items() if error > more * before.free_run[name]]
+        former, now = (percentages({name: one.free_run[name] for name in worse}) for one in (before, after))
+        if worse:
+            err = f"free runs over the rows held out err more than before refining: {now}, before {former}"
+            yield f"{err}; compare both on another record before relying on either", ConvergenceWarning
     if not found.converged:
-        log.warn(
-            "the output-error estimate did not converge, its steps ended at their limit: refine the result once more",
-            ConvergenceWarning,
-        )
+        limit = "the output-error estimate did not converge, its steps ended at their limit"
+        yield f"{limit}: refine the result once more", ConvergenceWarning
     if found.contradicted:
-        what = "bound" if any(" = " in one for one in bound) else "known sign"
-        log.warn(
-            f"free runs contradict the {what} of {some_of(bound, 20)} (odds above 100): check directions, or drop it",
-            DataWarning,
-        )
+        of = f"{'bound' if any(' = ' in one for one in bound) else 'known sign'} of {some_of(bound, 20)}"
+        yield f"free runs contradict the {of} (odds above 100): check directions, or drop it", DataWarning
     for name, ratio in found.misfit.items():
-        log.warn(
-            f"{name}: free runs leave {in_digits(ratio)} times the noise that was given: theirs is taken; check it, or"
-            " add terms",
-            DataWarning,
-        )
-    return log
+        times = f"{in_digits(ratio)} times the noise that was given"
+        yield f"{name}: free runs leave {times}: theirs is taken; check it, or add terms", DataWarning
 
 
 def runs_are_worse(before: Iterable[tuple[Floats, Floats]], after: Iterable[tuple[Floats, Floats]]) -> bool:
@@ -200,8 +190,6 @@ def runs_are_worse(before: Iterable[tuple[Floats, Floats]], after: Iterable[tupl
 
     Both are pairs of run and states from `bayeq.forecast.free_run.window_runs`.
 
-    Examples
-    --------
     >>> exact, off, further = (np.full((10, 1), error) for error in (0.0, 1.0, 2.0))
     >>> runs_are_worse([(off, exact)] * 12, [(further, exact)] * 12)
     True
@@ -218,36 +206,28 @@ def runs_are_worse(before: Iterable[tuple[Floats, Floats]], after: Iterable[tupl
     return sum(math.comb(n, k) for k in range(more, n + 1)) < REFINE.worse_chance * 2**n
 
 
-def _worse_scores(before: Scores, after: Scores) -> list[str]:
-    """A note on states whose free run over the rows held out is worse, by more than the noise of their samples does."""
-    more = 1.0 + SURE / math.sqrt(2 * after.rows)  # the standard error of a root mean square
-    worse = [name for name, error in after.free_run.items() if error > more * before.free_run[name]]
-    if not worse:
-        return []
-    former, now = (percentages({name: one.free_run[name] for name in worse}) for one in (before, after))
-    return [
-        f"free runs over the rows held out err more than before refining: {now}, before {former};"
-        " compare both on another record before relying on either"
-    ]
-
-
 def _refined(
     dynamics: Dynamics, k: int, block: slice, found: OutputError, train: Sequence[Rows], held_out: Sequence[Rows]
-) -> tuple[Posterior, dict[str, Any]]:
+) -> Changed:
     """The k-th equation: its posterior, and by attribute its fits and residuals, of the rows used and held out."""
-    parameters, covariance = found.parameters[block], found.covariance[block, block]
-    target, free = dynamics.targets[k], found.free[block]
+    law, terms, parameters, free = dynamics.laws[k], dynamics.terms[k], found.parameters[block], found.free[block]
+    target = law.chain.target
 
-    def residuals_of(pieces: Sequence[Rows]) -> list[Floats]:
-        terms = dynamics.terms[k]
+    def left(pieces: Sequence[Rows]) -> list[Floats]:
         return [rows.columns[target] - predicted_target(terms, parameters, rows.columns) for rows in pieces]
 
-    residuals = residuals_of(train)
+    def fit(pieces: Sequence[Rows]) -> Fit:
+        variance = float(np.concatenate([rows.columns[target] for rows in pieces]).var())
+        residual = np.concatenate(left(pieces))
+        share = float(np.mean(residual**2)) / variance if variance > 0 else 1.0
+        return Fit(n=len(residual), r2=1.0 - share, nrmse=math.sqrt(share))
+
+    residuals = left(train)
     noise = sum(float(e @ e) for e in residuals) / max(sum(map(len, residuals)) - int(free.sum()), 1)
-    names = (*dynamics.inputs, *dynamics.chains[k].states)
-    return _posterior(dynamics.laws[k].posterior, parameters, covariance, free, noise), {
-        "train": _fit([rows.columns[target] for rows in train], residuals),
-        "held_out": _fit([rows.columns[target] for rows in held_out], residuals_of(held_out)) if held_out else None,
+    names = (*dynamics.roles.inputs, *law.chain.states)
+    return _posterior(law.posterior, parameters, found.covariance[block, block], free, noise), {
+        "train": fit(train),
+        "held_out": fit(held_out) if held_out else None,
         "residuals": inspect_residuals(residuals, {name: [rows.columns[name] for rows in train] for name in names}),
     }
 
@@ -256,7 +236,7 @@ def _at_bound(dynamics: Dynamics, found: OutputError) -> tuple[str, ...]:
     """Coefficients that were at the end of their known sign, or at a bound, with their target in front."""
     return tuple(
         f"{target}: {term.text}" + (f" = {there:.6g}" if there else "")
-        for target, terms, block in zip(dynamics.targets, dynamics.terms, dynamics.blocks(), strict=True)
+        for target, terms, block in zip(dynamics.roles.targets, dynamics.terms, dynamics.blocks(), strict=True)
         for term, there in zip(terms, found.at_bound[block][-len(terms) :], strict=True)
         if np.isfinite(there)
     )
@@ -289,10 +269,3 @@ def _posterior(before: Posterior, parameters: Floats, covariance: Floats, free: 
         n=min(noise / max(left, 1e-300), MOST_ROWS),
         averaged=None,
     )
-
-
-def _fit(targets: Sequence[Floats], residuals: Sequence[Floats]) -> Fit:
-    whole, residual = np.concatenate(targets), np.concatenate(residuals)
-    variance = float(whole.var())
-    share = float(np.mean(residual**2)) / variance if variance > 0 else 1.0
-    return Fit(n=len(whole), r2=1.0 - share, nrmse=math.sqrt(share))

@@ -10,7 +10,6 @@ import re
 import shlex
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -56,19 +55,9 @@ class Remembering:
         return getattr(self._answer, name)
 
 
-@dataclass(frozen=True, slots=True)
-class Picture:
-    """A picture of the report."""
-
-    caption: str
-    still: str  # PNG as text (base64)
-    live: str  # Bokeh's model as JSON without a "<"; empty where there is none
-    narrow: bool  # whether it is of a column's width
-
-
-def pictures(eq: Answer, record: Record | None) -> tuple[list[Picture], list[str]]:
-    """All pictures that the answer and the record allow, and why others could not be drawn."""
-    made: list[Picture] = []
+def pictures(eq: Answer, record: Record | None) -> tuple[list[dict[str, Any]], list[str]]:
+    """All pictures that the answer and the record allow, as the page shows them, and why others could not be drawn."""
+    made: list[dict[str, Any]] = []
     reasons: list[str] = []
     source = Remembering(eq)
     for name, options, caption in _wanted(eq, record):
@@ -78,7 +67,8 @@ def pictures(eq: Answer, record: Record | None) -> tuple[list[Picture], list[str
             reasons.append(f"{caption}: {error}")
             continue
         axes = [ax for ax in np.ravel(np.array(drawn, dtype=object))[0].figure.axes if ax.get_label() != COLOUR_BAR]
-        made.append(Picture(caption, _still(axes[0].figure), _live(axes, len(made)), len(axes) == 1))
+        still, live = _still(axes[0].figure), _live(axes, len(made))
+        made.append({"caption": caption, "still": still, "live": live, "narrow": len(axes) == 1})
     return made, reasons
 
 
@@ -121,6 +111,7 @@ def _wanted(eq: Answer, record: Record | None) -> Iterator[tuple[str, dict[str, 
 
 
 def _still(figure: Any) -> str:
+    """A PNG as text (base64)."""
     buffer = io.BytesIO()
     figure.set_layout_engine("none")  # its panels have been placed
     with style():
@@ -129,7 +120,7 @@ def _still(figure: Any) -> str:
 
 
 def _live(axes: Sequence[Any], k: int) -> str:
-    """The picture in Bokeh's JSON; nothing for one of three dimensions."""
+    """The picture in Bokeh's JSON, without a "<"; nothing for one of three dimensions."""
     if any(ax.name == "3d" for ax in axes):
         return ""
     from bokeh.embed import json_item
@@ -174,7 +165,7 @@ def as_bokeh(axes: Sequence[Any]) -> Any:
 
 
 def _plot(ax: Any, x_range: Any) -> Any:
-    from bokeh.models import BasicTickFormatter, Legend, Range1d
+    from bokeh.models import BasicTickFormatter, HoverTool, Legend, Range1d
     from bokeh.plotting import figure
 
     inches = ax.figure.get_size_inches()[1] * ax.get_position().height
@@ -198,7 +189,10 @@ def _plot(ax: Any, x_range: Any) -> Any:
         if isinstance(model.formatter, BasicTickFormatter):
             model.formatter.power_limit_low = -5  # 0.0004, not 4.000e-4
     shown = [*_images(plot, ax), *_bands(plot, ax), *_bars(plot, ax), *_lines(plot, ax)]
-    labels = [(without_maths(label), [glyph]) for label, glyph in shown if label and not label.startswith("_")]
+    for _, glyph, values in shown:
+        if values:
+            plot.add_tools(HoverTool(renderers=[glyph], tooltips=values, visible=False))
+    labels = [(without_maths(label), [glyph]) for label, glyph, _ in shown if label and not label.startswith("_")]
     if labels and ax.get_legend() is not None:
         legend = Legend(items=labels, orientation="horizontal", border_line_color=None, padding=2, margin=0, spacing=8)
         legend.label_text_font_size, legend.glyph_width = "12px", 18
@@ -231,13 +225,11 @@ def _hex(colour: Any) -> str:
     return to_hex(colour)
 
 
-def _hover(plot: Any, renderer: Any, tooltips: list[tuple[str, str]]) -> None:
-    from bokeh.models import HoverTool
-
-    plot.add_tools(HoverTool(renderers=[renderer], tooltips=tooltips, visible=False))
+# Labels, what was drawn, and the values that are shown where a pointer is.
+Shown = Iterator[tuple[str, Any, list[tuple[str, str]]]]
 
 
-def _lines(plot: Any, ax: Any) -> Iterator[tuple[str, Any]]:
+def _lines(plot: Any, ax: Any) -> Shown:
     from bokeh.models import Span
 
     names = [(plot.xaxis[0].axis_label or "x", "x"), (plot.yaxis[0].axis_label or "y", "y")]
@@ -259,11 +251,10 @@ def _lines(plot: Any, ax: Any) -> Iterator[tuple[str, Any]]:
             glyph = plot.scatter("x", "y", source=source, marker=MARKERS[marker], size=size, **look)
         else:
             glyph = plot.line("x", "y", source=source, line_width=max(width * POINT, 1.0), line_dash=dashes, **look)
-        _hover(plot, glyph, [(name, f"@{axis}{{0,0.[00000]}}") for name, axis in names])
-        yield line.get_label(), glyph
+        yield line.get_label(), glyph, [(name, f"@{axis}{{0,0.[00000]}}") for name, axis in names]
 
 
-def _bands(plot: Any, ax: Any) -> Iterator[tuple[str, Any]]:
+def _bands(plot: Any, ax: Any) -> Shown:
     """Filled bands, and the bars of intervals."""
     from matplotlib.collections import LineCollection, PolyCollection
 
@@ -276,15 +267,14 @@ def _bands(plot: Any, ax: Any) -> Iterator[tuple[str, Any]]:
             source = {"x0": ends[:, 0, 0], "y0": ends[:, 0, 1], "x1": ends[:, 1, 0], "y1": ends[:, 1, 1]}
             look = {"color": _hex(made.get_colors()[0]), "line_width": float(made.get_linewidths()[0]) * POINT}
             glyph = plot.segment("x0", "y0", "x1", "y1", source=source, **look)
-            _hover(plot, glyph, [("from", "@x0{0,0.[000]}"), ("to", "@x1{0,0.[000]}")])
-            yield made.get_label(), glyph
+            yield made.get_label(), glyph, [("from", "@x0{0,0.[000]}"), ("to", "@x1{0,0.[000]}")]
         elif outlined:
             colour = made.get_facecolor()[0]
             xs, ys = ([path.vertices[:, k].astype(np.float32) for path in made.get_paths()] for k in (0, 1))
-            yield made.get_label(), plot.patches(xs, ys, color=_hex(colour), alpha=float(colour[3]), line_width=0)
+            yield made.get_label(), plot.patches(xs, ys, color=_hex(colour), alpha=float(colour[3]), line_width=0), []
 
 
-def _bars(plot: Any, ax: Any) -> Iterator[tuple[str, Any]]:
+def _bars(plot: Any, ax: Any) -> Shown:
     names = plot.yaxis[0].major_label_overrides
     for container in ax.containers:
         left, bottom, right, top = np.array([patch.get_bbox().extents for patch in container.patches]).T
@@ -292,11 +282,10 @@ def _bars(plot: Any, ax: Any) -> Iterator[tuple[str, Any]]:
         source["name"] = [names.get(round(place), "") for place in 0.5 * (bottom + top)]
         colour = _hex(container.patches[0].get_facecolor())
         glyph = plot.quad(source=source, fill_color=colour, line_color="black")
-        _hover(plot, glyph, [("term", "@name"), ("PIP", "@right{0.00000}")])
-        yield container.get_label(), glyph
+        yield container.get_label(), glyph, [("term", "@name"), ("PIP", "@right{0.00000}")]
 
 
-def _images(plot: Any, ax: Any) -> Iterator[tuple[str, Any]]:
+def _images(plot: Any, ax: Any) -> Shown:
     """Squares of a matrix, with the numbers that are written on them, and a bar of their colours."""
     from bokeh.models import ColorBar, LinearColorMapper
 
@@ -313,8 +302,7 @@ def _images(plot: Any, ax: Any) -> Iterator[tuple[str, Any]]:
             "other": [names.get(int(k), "") for k in col],
         }
         glyph = plot.rect("x", "y", 1, 1, source=source, fill_color="colour", line_color="white", line_width=0.5)
-        _hover(plot, glyph, [("terms", "@one, @other"), ("correlation", "@value{0.000}")])
-        yield "", glyph
+        yield "", glyph, [("terms", "@one, @other"), ("correlation", "@value{0.000}")]
         written = [(*text.get_position(), text.get_text(), _hex(text.get_color())) for text in ax.texts]
         look: dict[str, Any] = {"text_align": "center", "text_baseline": "middle", "text_font_size": "11px"}
         numbers = dict(zip(("x", "y", "text", "colour"), map(list, zip(*written, strict=True)), strict=True))
@@ -332,9 +320,7 @@ START = (HERE / "page.js").read_text(encoding="utf-8")
 
 
 def require_report() -> None:
-    """Check that a report can be made, before anything is computed for it; MissingExtraError without matplotlib or
-    Bokeh.
-    """
+    """Check that a report can be made, before anything is computed; MissingExtraError without matplotlib or Bokeh."""
     require_matplotlib()
     with needing("bokeh", "report", "a report with live pictures"):
         import bokeh.plotting  # noqa: F401
@@ -376,7 +362,7 @@ def _page(eq: Answer, records: Sequence[Record], digests: Mapping[str, str], com
     if found is not None:
         law, also = law_in_symbols(eq, found), ", ".join(found.unexplained)
         physical = {"law": law, "rows": tabled_parameters(found), "also": also, "note": found.note}
-    scripts = [_library(), START] if any(picture.live for picture in made) else []
+    scripts = [_library(), START] if any(picture["live"] for picture in made) else []
     hashes = (hashlib.sha256(script.encode("utf-8")).digest() for script in scripts)
     allowed = " ".join(f"'sha256-{base64.b64encode(one).decode('ascii')}'" for one in hashes) or "'none'"
     environment = Environment(loader=FileSystemLoader(HERE), autoescape=True, trim_blocks=True, lstrip_blocks=True)

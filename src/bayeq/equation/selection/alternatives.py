@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import compress
 
 import numpy as np
 
@@ -21,7 +22,6 @@ from bayeq.dictionary import evaluate_terms
 from bayeq.dictionary.families import degree
 from bayeq.expressions import Expression
 from bayeq.inference.collapsed.path import DEPENDENT
-from bayeq.inference.collapsed.problem import all_rows
 from bayeq.inference.collapsed.slab import noise_given_model
 from bayeq.inference.posterior import Posterior
 from bayeq.numerics.distributions import Z95
@@ -63,10 +63,10 @@ def alternatives_to(fit: RegressionFit, shown: Posterior, tolerance: float, exac
     regression = fit.regression
     terms, motion = regression.design.terms, regression.motion
     spread = regression.rows.target_deviation
-    columns, odd = [evaluate_terms(terms, points) for points in _points(motion, terms)], _odd(fit)
-    heavy = np.flatnonzero(average.probability >= LEAST)
-    total, found = 0.0, Alternatives(0.0)
-    for k in heavy.tolist():
+    points = _points(motion, terms)
+    columns, odd = [evaluate_terms(terms, some) for some in points], _odd(fit, points[0])
+    total, likeliest = 0.0, None
+    for k in np.flatnonzero(average.probability >= LEAST).tolist():
         other = fit.expanded(fit.given(average.models[k]))
         change = np.append(other.coef - shown.coef, other.intercept - shown.intercept)
         differs = any(_root_mean_square(D @ change[:-1] + change[-1]) > tolerance * spread for D in columns)
@@ -75,21 +75,19 @@ def alternatives_to(fit: RegressionFit, shown: Posterior, tolerance: float, exac
         if not differs and not (exact and otherwise):
             continue
         total += float(average.probability[k])
-        if not found.probability:
-            names = np.array([term.text for term in terms])
-            enter = tuple(names[other.support & ~shown.support].tolist())
-            leave = tuple(names[shown.support & ~other.support].tolist())
-            found = Alternatives(total, enter, leave)
-    return Alternatives(total, found.enter, found.leave)
+        likeliest = other.support if likeliest is None else likeliest
+    if likeliest is None:
+        return Alternatives(0.0)
+    enter, leave = (compress(terms, some) for some in (likeliest & ~shown.support, shown.support & ~likeliest))
+    return Alternatives(total, tuple(term.text for term in enter), tuple(term.text for term in leave))
 
 
-def _odd(fit: RegressionFit) -> Floats:
+def _odd(fit: RegressionFit, points: dict[str, Floats]) -> Floats:
     """Of each term, what changes its sign with the velocities of oscillators, (rows, P); nothing in other equations."""
-    terms, motion = fit.regression.design.terms, fit.regression.motion
-    points = _points(motion, terms)[0]
-    if fit.regression.chain.order < 2 or motion.roles.discrete:
+    terms, roles = fit.regression.design.terms, fit.regression.motion.roles
+    if fit.regression.chain.order < 2 or roles.discrete:
         return np.zeros((1, len(terms)))
-    back = {chain.states[-1] for chain in motion.roles.chains if chain.order > 1}
+    back = {chain.states[-1] for chain in roles.chains if chain.order > 1}
     turned = {name: -values if name in back else values for name, values in points.items()}
     with np.errstate(all="ignore"):
         return np.nan_to_num(0.5 * (evaluate_terms(terms, points) - evaluate_terms(terms, turned)))
@@ -125,7 +123,7 @@ def bounds(fit: RegressionFit) -> Floats | None:
     problem, support, kept = fit.problem, fit.posterior.support, fit.constraints.equalities.kept
     if len(support) > MOST_TERMS:
         return None
-    DtD, inside, others = all_rows(problem.columns), np.flatnonzero(support), np.flatnonzero(~support)
+    DtD, inside, others = problem.DtD, np.flatnonzero(support), np.flatnonzero(~support)
     shrink = 1.0 / problem.slab_variance
     A = DtD[np.ix_(inside, inside)] + shrink * np.eye(len(inside))
     carried = np.linalg.solve(A, DtD[np.ix_(inside, others)])

@@ -22,9 +22,9 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -32,40 +32,28 @@ from bayeq.arrays import Bools
 from bayeq.errors import InputError, require_number
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import apart, typical_period, window_runs
-from bayeq.forecast.rows import Rows, divided, rows_of
+from bayeq.forecast.rows import divided, rows_of
 from bayeq.inference.collapsed.path import DEPENDENT, best_of_each_size, best_without_one, partial_shares, path_sizes
 from bayeq.inference.collapsed.problem import gram_block
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.gram import Gram
 from bayeq.inference.posterior import Posterior
 from bayeq.numerics.settings import LIKELIHOOD, SELECTION
-from bayeq.regression.fit import RegressionFit
-from bayeq.regression.joint import refitted
+from bayeq.regression.fit import RegressionFit, refitted
 from bayeq.states import Motion
 
 Errors = Mapping[float, float]
+Runs = Callable[[Sequence[Posterior]], Errors]
 
 
 @dataclass(frozen=True, slots=True)
 class LeftOut:
-    """A term that is included and not shown.
-
-    Attributes
-    ----------
-    name : str
-        The term.
-    pip : float
-        Its posterior inclusion probability.
-    share : float
-        What R2 loses on the training rows when it is left out of the included terms and the others are refitted.
-    reason : str
-        ``"dependent"``, ``"max_terms"``, ``"tolerance"`` or ``"undecided"``.
-    """
+    """A term that is included and not shown."""
 
     name: str
-    pip: float
-    share: float
-    reason: str
+    pip: float  # its posterior inclusion probability
+    share: float  # what R2 loses on the training rows without it, the other included terms refitted
+    reason: str  # "dependent", "max_terms", "tolerance" or "undecided"
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,10 +66,7 @@ class Rules:
     tolerance: float | None = None
 
     def check(self, method: str) -> None:
-        """Check the limits, and that the method's models can be compared.
-
-        InputError for values out of range, or a method without spike-and-slab prior.
-        """
+        """Check the limits, and that the method's models can be compared; InputError otherwise."""
         if self.tolerance is not None:
             require_number(self.tolerance, "tolerance")
         if not 0 <= (self.tolerance or 0) < 1:
@@ -157,8 +142,11 @@ def select(fits: Sequence[RegressionFit], rules: Rules, motion: Motion, whole: b
     compared = rules.tolerance != 0.0 and all(ENGINES[fit.posterior.details.method].spike_slab for fit in fits)
     tolerance = rules.tolerance or SELECTION.tolerance
     if compared:
-        moves = motion.timed and bool(motion.roles.states)
-        chosen = _decided(chosen, tolerance, FreeRuns(motion, fits) if moves else None)
+        runs = partial(run_errors, motion, fits) if motion.timed and motion.roles.states else None
+        included = [one.shown for one in chosen]
+        likeliest = [likeliest_instead(one.fit, k, included, runs, tolerance) for k, one in enumerate(chosen)]
+        pairs = zip(chosen, likeliest, strict=True)
+        chosen = [one if it is None else one.given(it, "undecided") for one, it in pairs]
     chosen = _refitted([_limited(one, rules.max_terms) for one in chosen])
     nearly = [
         k
@@ -168,26 +156,14 @@ def select(fits: Sequence[RegressionFit], rules: Rules, motion: Motion, whole: b
     return _simplified(chosen, nearly, tolerance, motion) if compared and motion.timed else chosen
 
 
-class FreeRuns:
-    """Errors of free runs of a system, of one fit per equation, over windows of the training rows, which have time."""
-
-    def __init__(self, motion: Motion, fits: Sequence[RegressionFit]) -> None:
-        self.motion, self.fits = motion, fits
-
-    @cached_property
-    def pieces(self) -> list[Rows]:
-        """The training rows with their inputs interpolated."""
-        return divided(self.motion, rows_of(self.motion, "a free run"))[0]
-
-    def errors(self, posteriors: Sequence[Posterior]) -> Errors:
-        """Of one posterior per equation: error as a share of the states' spread, by the length of runs in periods."""
-        expanded = [fit.expanded(one) for fit, one in zip(self.fits, posteriors, strict=True)]
-        dynamics = Dynamics.on(self.motion, self.fits[0].regression.design.terms, expanded)
-        period = typical_period(dynamics, self.pieces)
-        return {
-            periods: apart(window_runs(dynamics, self.pieces, periods * period))
-            for periods in (SELECTION.short_run, SELECTION.long_run)
-        }
+def run_errors(motion: Motion, fits: Sequence[RegressionFit], posteriors: Sequence[Posterior]) -> Errors:
+    """Errors of free runs over windows of the training rows, over the states' spread, by their length in periods."""
+    expanded = [fit.expanded(one) for fit, one in zip(fits, posteriors, strict=True)]
+    dynamics = Dynamics.on(motion, fits[0].regression.design.terms, expanded)
+    train, _ = divided(motion, rows_of(motion, "a free run"))
+    period = typical_period(dynamics, train)
+    lengths = (SELECTION.short_run, SELECTION.long_run)
+    return {periods: apart(window_runs(dynamics, train, periods * period)) for periods in lengths}
 
 
 def hardly_worse(fewer: Errors, whole: Errors, tolerance: float) -> bool:
@@ -208,20 +184,8 @@ def _likeliest_part(one: Selection) -> Selection:
     return one.given(fit.given(parts[0]), "undecided" if alike else "dependent")
 
 
-def _decided(chosen: Sequence[Selection], tolerance: float, runs: FreeRuns | None) -> list[Selection]:
-    """The likeliest models, where the included terms are not what the average says."""
-    included, out = [one.shown for one in chosen], []
-    for k, one in enumerate(chosen):
-        instead = likeliest_instead(one.fit, k, included, runs, tolerance)
-        out.append(one if instead is None else one.given(instead, "undecided"))
-    return out
-
-
 def prediction_difference(rows: Gram, one: Posterior, other: Posterior) -> float:
-    """Root mean square difference of predictions over the rows of a Gram, as a share of the target's deviation.
-
-    The Gram and the posteriors are of all P terms, in original units.
-    """
+    """Root mean square difference of predictions over the rows of a Gram of all terms, over the target's deviation."""
     change = one.coef - other.coef
     used = np.flatnonzero(change)
     c = change[used]
@@ -231,14 +195,14 @@ def prediction_difference(rows: Gram, one: Posterior, other: Posterior) -> float
 
 
 def likeliest_instead(
-    fit: RegressionFit, k: int, found: Sequence[Posterior], runs: FreeRuns | None, tolerance: float
+    fit: RegressionFit, k: int, found: Sequence[Posterior], runs: Runs | None, tolerance: float
 ) -> Posterior | None:
     """The likeliest model of equation k, of which `fit` is, where the included terms are not what the average says.
 
     Collinear terms share their probability, so that none of several forms of damping may reach 0.5, however sure it is
     that there is damping. The average has it. So where the predictions or free runs of the included terms are further
     from its than the tolerance, and those of the likeliest model less so, that is the one to show. `found` are the
-    posteriors of every equation given its included terms; `runs` are None without time.
+    posteriors of every equation given its included terms; `runs` gives errors of free runs, None without time.
     """
     included = found[k]
     if included.average is None or included.averaged is None or not len(included.average.models):
@@ -255,22 +219,15 @@ def likeliest_instead(
         return likeliest
     if runs is None:
         return None
-    errors = runs.errors(_with(found, k, mean))
-    if not errors[SELECTION.short_run] < SELECTION.follows or hardly_worse(runs.errors(found), errors, tolerance):
+    errors, former = runs([*found[:k], mean, *found[k + 1 :]]), runs(found)
+    if not errors[SELECTION.short_run] < SELECTION.follows or hardly_worse(former, errors, tolerance):
         return None
-    instead = runs.errors(_with(found, k, likeliest))
-    return likeliest if hardly_worse(instead, runs.errors(found), 0.0) else None
-
-
-def _with(posteriors: Sequence[Posterior], k: int, one: Posterior) -> list[Posterior]:
-    return [one if other == k else former for other, former in enumerate(posteriors)]
+    instead = runs([*found[:k], likeliest, *found[k + 1 :]])
+    return likeliest if hardly_worse(instead, former, 0.0) else None
 
 
 def _simplified(chosen: list[Selection], nearly: Sequence[int], tolerance: float, motion: Motion) -> list[Selection]:
-    """The smallest models within the tolerance of some equations, each by a fit of its own.
-
-    Damping stays: it explains next to nothing and yet decides how motion decays.
-    """
+    """The smallest models within the tolerance of some equations, by fits of their own; damping stays, see rule 4."""
     out = chosen
     whole = _errors(motion, chosen) if nearly else {}
     for k in nearly:
@@ -294,7 +251,7 @@ def _simplified(chosen: list[Selection], nearly: Sequence[int], tolerance: float
 
 
 def _errors(motion: Motion, chosen: Sequence[Selection]) -> Errors:
-    return FreeRuns(motion, [one.shown_fit for one in chosen]).errors([one.shown for one in chosen])
+    return run_errors(motion, [one.shown_fit for one in chosen], [one.shown for one in chosen])
 
 
 def _damping(fit: RegressionFit) -> Bools:
@@ -305,10 +262,7 @@ def _damping(fit: RegressionFit) -> Bools:
 
 
 def _refitted(chosen: list[Selection]) -> list[Selection]:
-    """Coefficients of the full models by a fit of their own, where these are not the included terms.
-
-    So the same terms have the same coefficients however they were come by.
-    """
+    """Coefficients by fits of their own where terms are not those included: the same, however they were come by."""
     models = [one.shown.support for one in chosen]
     differ = any(bool((model != one.fit.posterior.support).any()) for one, model in zip(chosen, models, strict=True))
     fits = refitted([one.fit for one in chosen], models) if differ else None

@@ -319,7 +319,7 @@ def search_models(problem: Problem, tolerance: float = 5e-3) -> ModelSet:
     return ModelSet(listing.models[order], listing.scores[order], left, expanded, inclusion=inclusion)
 
 
-def list_models(problem: Problem, tolerance: float, enumerate_up_to: int = ENUMERATE) -> ModelSet:
+def list_models(problem: Problem, tolerance: float = 5e-3, enumerate_up_to: int = ENUMERATE) -> ModelSet:
     """All models of few free terms, or those that hold all but `tolerance` of the posterior mass."""
     if int(np.isfinite(problem.log_odds).sum()) <= enumerate_up_to:
         return enumerate_models(problem)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bayeq.arrays import Floats, Ints
-from bayeq.inference.gram import GramLike, dense
+from bayeq.inference.gram import GramLike, LazyGram, dense
 from bayeq.inference.prior import Prior
 from bayeq.kernels import kernel
 
@@ -72,16 +72,10 @@ def gram_block(columns: Columns, index: Ints) -> Floats:
     return columns.rows[np.ix_(columns.slot[index], index)]
 
 
-def all_rows(columns: Columns) -> Floats:
-    """D'D as one array, (P, P)."""
-    return gram_block(columns, np.arange(len(columns.slot)))
-
-
 def gram_columns(gram: GramLike) -> Columns:
     """D'D of any Gram: a `LazyGram` gives its rows as they are needed."""
     terms = len(gram.names)
-    data = getattr(gram, "data", None)
-    if data is None:
+    if not isinstance(gram, LazyGram):
         DtD = np.ascontiguousarray(dense(gram))
         return Columns(DtD.diagonal().copy(), DtD, np.arange(terms), np.array([terms]), NOTHING)
     return Columns(
@@ -89,7 +83,7 @@ def gram_columns(gram: GramLike) -> Columns:
         np.empty((terms, terms)),
         np.full(terms, -1),
         np.zeros(1, dtype=np.int64),
-        data,
+        gram.data,
     )
 
 
@@ -138,7 +132,7 @@ class Problem(NamedTuple):
     @property
     def DtD(self) -> Floats:
         """D'D as one array."""
-        return all_rows(self.columns)
+        return gram_block(self.columns, np.arange(len(self.columns.slot)))
 
     def with_slab_variance(self, slab_variance: float) -> Problem:
         """The same problem with another v_s."""

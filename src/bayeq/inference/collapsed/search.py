@@ -140,12 +140,8 @@ def _listed(out: Ints, into: Ints, gains: Floats) -> list[Move]:
 def greedy_start(p: Problem, size: int) -> Bools:
     """Forward selection: terms activated one by one, each time the one that lowers the squared error most."""
     terms = len(p.Dty)
-    active = np.zeros(terms, dtype=np.bool_)
+    active = p.log_odds == math.inf
     T = swept(p, active)
-    for j in range(terms):
-        if p.log_odds[j] == math.inf:
-            flip(p, T, j)
-            active[j] = True
     for _ in range(size):
         best, best_j = 0.0, -1
         for j in range(terms):

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from bayeq.arrays import Bools, Floats
 from bayeq.inference.collapsed.problem import Problem, gram_block
-from bayeq.inference.collapsed.search import best_models, greedy_start
+from bayeq.inference.collapsed.search import best_models, greedy_start, neighbours
 from bayeq.inference.collapsed.tableau import residual_sum, swept
 from bayeq.inference.gram import Gram, GramLike
 from bayeq.inference.prior import Prior
@@ -140,3 +141,18 @@ def exact_posterior(problem: Problem, active: Bools, limits: Floats | None = Non
         for _, coef, covariance, _ in truncated_models(problem, limits, active[None, :]):
             return coef, covariance
     return given_model(problem, active)
+
+
+def likeliest_by_rows(gram: Gram, allowed: Bools | None = None, most: float = math.inf) -> tuple[Bools, Floats]:
+    """The likeliest model of a regression, cut down to `most` terms, and its coefficients, (P,) each.
+
+    The slab variance of the paper's prior is learned; only terms that are `allowed` may be in.
+    """
+    standard = gram.standardise(residual_scale(gram))
+    first = Prior() if allowed is None else Prior(prior_inclusion=np.where(allowed, 0.1, 0.0))
+    prior = replace(first, slab_variance=learn_slab_variance(standard.gram, first))
+    problem = Problem.of(standard.gram, prior)
+    model = best_models(problem)[0][1]
+    while model.sum() > most:
+        model = next(move for move in neighbours(problem, model, math.inf) if move.enters is None).apply(model)
+    return model, exact_posterior(problem, model)[0] / standard.scale * standard.target_scale

@@ -169,10 +169,9 @@ def swept(p: Problem, active: Bools) -> Tableau:
 @kernel
 def renew(p: Problem, T: Tableau, active: Bools) -> None:
     """Sweep the tableau of a model again, in place."""
-    for j in range(len(active)):
-        T.row[j] = -1
-        T.diagonal[j] = p.columns.diagonal[j] + 1.0 / p.slab_variance
-        T.partial[j] = p.Dty[j]
+    T.row[:] = -1
+    T.partial[:] = p.Dty
+    T.diagonal[:-1] = p.columns.diagonal + 1.0 / p.slab_variance
     T.diagonal[-1] = p.yty + 2.0 * p.noise_rate
     T.size[0] = 0
     for j in range(len(active)):
@@ -192,11 +191,7 @@ def strayed(columns: Columns, Dty: Floats, yty: float, ridges: Floats, floor: fl
     """
     terms, r = len(Dty), T.size[0]
     s = max(T.diagonal[terms], floor)
-    left = yty
-    pull, own = np.empty(terms), np.empty(terms)
-    for j in range(terms):
-        pull[j] = Dty[j]
-        own[j] = columns.diagonal[j] + ridges[j]
+    left, pull, own = yty, Dty.copy(), columns.diagonal + ridges
     for a in range(r):
         i = T.term[a]
         gram, row, mean = columns.rows[columns.slot[i]], T.rows[a], T.partial[i]
@@ -222,9 +217,7 @@ def strayed(columns: Columns, Dty: Floats, yty: float, ridges: Floats, floor: fl
 @kernel
 def drifted(p: Problem, T: Tableau) -> bool:
     """Whether the tableau of a model has `strayed`."""
-    ridges = np.empty(len(p.Dty))
-    for j in range(len(ridges)):
-        ridges[j] = 1.0 / p.slab_variance
+    ridges = np.full(len(p.Dty), 1.0 / p.slab_variance)
     return strayed(p.columns, p.Dty, p.yty + 2.0 * p.noise_rate, ridges, p.floor, T)
 
 

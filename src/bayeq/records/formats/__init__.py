@@ -123,10 +123,7 @@ def writers() -> Mapping[str, Writer]:
 
 
 def format_of(path: Path) -> Format:
-    """The format of a file: by its first bytes, else text if it looks like text, else by its suffix.
-
-    A FileFormatError says that none of these tells.
-    """
+    """The format of a file by its first bytes, else text if it looks so, else by its suffix; else a FileFormatError."""
     with path.open("rb") as file:
         head = file.read(HEAD)
     for row in FORMATS:

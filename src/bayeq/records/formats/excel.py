@@ -8,7 +8,7 @@ import tempfile
 import zipfile
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from datetime import date, datetime, time, timedelta
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +26,7 @@ Sheet = tuple[str, Iterable[Iterable[Any]]]
 
 
 def read_columns(path: Path, *, names: Names = None, chosen: Select | None = None, sheet: str | None = None) -> Columns:
-    """Read a sheet, by default the one with most rows of numbers, as text is read: preamble, header, units, gaps.
-
-    Of a formula the value that Excel saved is read.
-    """
+    """Read a sheet, by default that with most rows of numbers, as text is read; of formulas the saved values."""
     where = str(path)
     titles: dict[str, int] = {}  # and how many rows of numbers each has
     with tempfile.TemporaryDirectory() as folder, reading(where, "Excel file"):
@@ -133,6 +130,4 @@ def _cell(value: Any) -> str:
         return repr(float(value))
     if isinstance(value, timedelta):
         return repr(value.total_seconds())
-    if isinstance(value, (datetime, date, time)):
-        return value.isoformat(" ") if isinstance(value, datetime) else value.isoformat()
     return " ".join(str(value).replace('"', "").split())

@@ -58,17 +58,13 @@ class _Dataset:
 
 
 def _selected(shape: tuple[int, ...], key: Any) -> tuple[int, ...]:
-    """The shape of a part of an array."""
     keys = key if isinstance(key, tuple) else (key,)
     lengths = [len(range(*k.indices(n))) if isinstance(k, slice) else n for k, n in zip(keys, shape, strict=False)]
     return (*lengths, *shape[len(lengths) :])
 
 
 def channels(path: Path) -> list[Channel]:
-    """List the arrays of a file: datasets, rows of matrices, MATLAB's structs and cells.
-
-    A link or a virtual dataset that takes its samples from another file is refused.
-    """
+    """List the arrays of a file: datasets, rows of matrices, MATLAB's structs and cells; nothing of other files."""
     h5py = _h5py()
     with reading(str(path), _KIND):
         _require_sound_heaps(path)
@@ -263,7 +259,6 @@ class Hdf5Rows(FileRows):
 
     @cached_property
     def bounds(self) -> tuple[int, ...]:
-        """Units of equal length."""
         lengths = [replace(one, values=_length(one)) for one in channels(self.path)]
         pieces = read_pieces(lengths, str(self.path), self.request)
         if len(pieces) > 1:
@@ -271,7 +266,6 @@ class Hdf5Rows(FileRows):
         return grid(int(pieces[0][1].values[0][0]))
 
     def read(self, start: int, stop: int, request: Request) -> Columns:
-        """Rows `start` to `stop`."""
         ((_, data),) = read_pieces(channels(self.path), str(self.path), request, rows=slice(start, stop))
         return data
 

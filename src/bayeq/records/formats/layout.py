@@ -1,7 +1,4 @@
-"""How a delimited text file is laid out: encoding, delimiter, preamble, header, units, where the data begin.
-
-And its cells: how lines are split, which cells are numbers, names, units or time stamps.
-"""
+"""How a delimited text file is laid out: encoding, delimiter, preamble, header, units, where the data begin; cells."""
 
 from __future__ import annotations
 
@@ -109,10 +106,7 @@ def _sample(path: Path, encoding: str, where: str, skip: int) -> tuple[list[tupl
 
 
 def sniff(path: Path, encoding: str, where: str = "", skip: int = 0) -> Layout:
-    """Find the layout from the first lines below `skip`.
-
-    A FileFormatError says that the file is empty, has no rows, or a header that does not fit its rows.
-    """
+    """Find the layout from the first lines below `skip`; FileFormatError for no rows, or a header that does not fit."""
     where = where or str(path)
     lines, comments = _sample(path, encoding, where, skip)
     if not lines and skip:
@@ -144,17 +138,12 @@ def sniff(path: Path, encoding: str, where: str = "", skip: int = 0) -> Layout:
         header = _fit_header(where, header, cells, line, lines[first][0])
     stamps = tuple(i for i, cell in enumerate(cells) if not is_number(cell) and parse_stamp(cell) is not None)
     quoted = delimiter == "," and any(map(_QUOTED_COMMA.search, data))
-    comma = (quoted or delimiter in (";", "\t", "|")) and not any(_has_point(row, delimiter, stamps) for row in data)
+    comma = (quoted or delimiter in (";", "\t", "|")) and not any(
+        "." in cell for row in data for i, cell in enumerate(split(row, delimiter)) if i not in stamps
+    )
     step = table.step if table is not None and table.step is not None else stated_step(comments)
     comment = comments[-1] if comments else ""
     return Layout(encoding, delimiter, header, comment, lines[first][0] - 1, width, comma, stamps, step)
-
-
-def _has_point(row: str, delimiter: str | None, stamps: tuple[int, ...]) -> bool:
-    """Whether a row has a point in a cell that is no time stamp."""
-    if not stamps:
-        return "." in row
-    return any("." in cell for i, cell in enumerate(split(row, delimiter)) if i not in stamps)
 
 
 def _header(rows: list[str], delimiter: str | None, where: str) -> tuple[list[str] | None, int]:
@@ -162,32 +151,29 @@ def _header(rows: list[str], delimiter: str | None, where: str) -> tuple[list[st
     head = split(rows[0], delimiter) if delimiter is not None else bracketed_words(unquoted(rows[0]))
     if not is_words(head):
         return None, 0
-    if len(rows) == 1:
-        raise FileFormatError(f"{where}: a header but no rows")
-    cells = split(rows[1], delimiter)
+    cells = split(rows[1], delimiter) if len(rows) > 1 else []
     units = _unit_row(cells) if is_words(cells) else None
     first = 1 if units is None else 2
-    header = words(rows[0], delimiter, len(split(rows[first], delimiter)) if first < len(rows) else 0)
-    if units is not None and len(header) == len(units):
-        header = with_units(header, units)
     if first == len(rows):
         raise FileFormatError(f"{where}: a header but no rows")
+    header = words(rows[0], delimiter, len(split(rows[first], delimiter)))
+    if units is not None and len(header) == len(units):
+        header = with_units(header, units)
     return header, first
 
 
 def _fit_header(where: str, header: list[str], row: list[str], line: int, row_line: int) -> list[str]:
     """Bring the header to the width of the rows where one of them ends in a delimiter."""
-    if len(header) == len(row) + 1 and not header[-1]:
-        return header[:-1]
     if len(header) == len(row) - 1 and not row[-1]:
         return [*header, ""]
-    if len(header) != len(row):
+    names = fitted(header, len(row))
+    if names is None:
         hint = "; if the comma is the decimal mark, write points" if len(row) == 2 * len(header) else ""
         raise FileFormatError(
             f"{where}, line {row_line}: {len(row)} values, but the header in line {line} names {len(header)} "
             f"column{'s' * (len(header) != 1)}{hint}"
         )
-    return header
+    return names
 
 
 def comment_header(layout: Layout) -> list[list[str]]:
@@ -195,11 +181,11 @@ def comment_header(layout: Layout) -> list[list[str]]:
     if layout.header is not None or not layout.comment:
         return []
     found = []
-    for width in (layout.width, layout.width - 2):
-        names = words(layout.comment, layout.delimiter, width) if width > 0 else []
+    for width in range(layout.width, 0, -2)[:2]:
+        names = words(layout.comment, layout.delimiter, width)
         if len(names) != width:
-            names = words(layout.comment, None, width) if width > 0 else []
-        if width > 0 and len(names) == width and is_words(names):
+            names = words(layout.comment, None, width)
+        if len(names) == width and is_words(names):
             found.append(names)
     return found
 
@@ -217,10 +203,7 @@ class Table(NamedTuple):
 
 
 def find_table(rows: Sequence[str]) -> Table | None:
-    """The table below a preamble; None where there is none, or where lines above look like damaged data.
-
-    `rows` are the first lines of the file, without blank lines and comments.
-    """
+    """The table below a preamble, of the first lines that are no comments; None without one, or below damaged data."""
     if len(rows) < _ROWS:
         return None
     delimiter = delimiter_of(rows[-max(1, len(rows) // 2) :])
@@ -313,7 +296,7 @@ def _rigol(rows: Sequence[str], start: int, delimiter: str | None) -> Table | No
     lower = [name.casefold() for name in names]
     if "increment" not in lower or len(below) < len(names) or not is_number(below[lower.index("increment")]):
         return None
-    step = number_of(below[lower.index("increment")])
+    step = float(below[lower.index("increment")].lower().replace("d", "e").replace(",", "."))
     units = ["" if is_number(cell) else unit_cell(cell) or "" for cell in below[: len(names)]]
     width = len(split(rows[start], delimiter))
     header = with_units(names, units)[:width]
@@ -409,7 +392,7 @@ def words(line: str, delimiter: str | None, width: int) -> list[str]:
 
 
 def bracketed_words(line: str) -> list[str]:
-    """The words of a line; a unit in brackets belongs to the word before it."""
+    """The words of a line, with units in brackets behind them."""
     return [word.strip("\"'") for word in _WORD.findall(line)]
 
 
@@ -432,25 +415,10 @@ def unquoted(line: str) -> str:
 def is_number(cell: str) -> bool:
     """Whether a cell is a finite number, perhaps with a decimal comma or an exponent of Fortran's."""
     try:
-        float(_with_e(cell))
+        float(cell.lower().replace("d", "e"))
     except ValueError:
         return bool(_COMMA_NUMBER.fullmatch(cell))
     return cell.strip("+-").lower() not in ("nan", "inf", "infinity")
-
-
-def number_of(cell: str) -> float:
-    """The number in a cell that `is_number`.
-
-    Examples
-    --------
-    >>> number_of("1,5"), number_of("2.0d-3")
-    (1.5, 0.002)
-    """
-    return float(_with_e(cell).replace(",", "."))
-
-
-def _with_e(cell: str) -> str:
-    return cell.replace("D", "E").replace("d", "e")
 
 
 def is_words(cells: list[str]) -> bool:

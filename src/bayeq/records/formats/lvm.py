@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from bayeq.arrays import Floats
 from bayeq.errors import FileFormatError
 from bayeq.records.formats.layout import decoded, unit_cell
 from bayeq.records.formats.nested import Channel
@@ -25,7 +26,6 @@ def channels(path: Path) -> list[Channel]:
         raise FileFormatError(f"{where}: not a LabVIEW measurement file: its first line is another")
     header, place = _header(lines, 1, where, "\t")
     mark = _SEPARATORS.get(header.get("Separator", ["Tab"])[0].casefold(), "\t")
-    comma = header.get("Decimal_Separator", ["."])[0] == ","
     # otherwise one header stands for all segments, whose rows follow each other
     several = header.get("Multi_Headings", ["Yes"])[0].casefold() == "yes"
     segments: list[list[Channel]] = []
@@ -34,8 +34,7 @@ def channels(path: Path) -> list[Channel]:
         stop = len(lines)
         if several:
             stop = next((i for i in range(place + 1, len(lines)) if not lines[i].strip()), len(lines))
-        one_x = header.get("X_Columns", ["One"])[0].casefold() == "one"
-        segments.append(_segment(lines[:stop], place, about, mark, comma, one_x, several, where))
+        segments.append([*_segment(lines[:stop], place, {**header, **about}, mark, several, where)])
         place = stop
     if not segments:
         raise FileFormatError(f"{where}: a header but no samples")
@@ -65,20 +64,19 @@ def _header(lines: Sequence[str], place: int, where: str, mark: str) -> tuple[di
 
 
 def _segment(
-    lines: Sequence[str], place: int, about: dict[str, list[str]], mark: str, comma: bool, one_x: bool, several: bool,
-    where: str,
-) -> list[Channel]:  # fmt: skip
+    lines: Sequence[str], place: int, about: dict[str, list[str]], mark: str, several: bool, where: str
+) -> Iterator[Channel]:
     """The channels of the rows from the line of names to the last."""
     if place >= len(lines):
         raise FileFormatError(f"{where}: a header but no samples")
     names = [name.strip() for name in lines[place].split(mark)]
     rows = [line.split(mark) for line in lines[place + 1 :] if several or line.strip()]
     ys = [i for i, name in enumerate(names) if name and name not in (_X, "Comment")]
-    found: list[Channel] = []
-    if one_x and names[0] == _X:
+    comma = about.get("Decimal_Separator", ["."])[0] == ","
+    if names[0] == _X and about.get("X_Columns", ["One"])[0].casefold() == "one":
         times = _column(rows, 0, len(rows), place + 2, _X, comma, where)
         if np.isfinite(times).all() and len(times):
-            found.append(Channel("t", len(times), times.__getitem__, unit="s"))
+            yield Channel("t", len(times), times.__getitem__, unit="s")
     for k, column in enumerate(ys):
         size = int(_number(about.get("Samples"), k, len(rows), where))
         if size > len(rows):
@@ -88,17 +86,14 @@ def _segment(
         values = _column(rows, column, size, place + 2, names[column], comma, where)
         label = (about.get("Y_Unit_Label", [])[k : k + 1] or [""])[0]
         step = _number(about.get("Delta_X"), k, np.nan, where)
-        found.append(
-            Channel(
-                names[column],
-                size,
-                values.__getitem__,
-                unit=unit_cell(label) or label or None,
-                step=step if np.isfinite(step) and step > 0 else None,
-                start=_number(about.get("X0"), k, 0.0, where),
-            )
+        yield Channel(
+            names[column],
+            size,
+            values.__getitem__,
+            unit=unit_cell(label) or label or None,
+            step=step if np.isfinite(step) and step > 0 else None,
+            start=_number(about.get("X0"), k, 0.0, where),
         )
-    return found
 
 
 def _number(values: Sequence[str] | None, k: int, otherwise: float, where: str) -> float:
@@ -115,15 +110,12 @@ def _number(values: Sequence[str] | None, k: int, otherwise: float, where: str) 
 
 def _column(
     rows: Sequence[Sequence[str]], column: int, size: int, line: int, name: str, comma: bool, where: str
-) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+) -> Floats:
     values = np.full(size, np.nan)
-    for i in range(size):
-        cell = rows[i][column].strip() if column < len(rows[i]) else ""
-        if cell:
-            try:
-                values[i] = float(cell.replace(",", ".") if comma else cell)
-            except ValueError:
-                raise FileFormatError(
-                    f"{where}, line {line + i}, column {name!r}: {cell[:40]!r} is not a number"
-                ) from None
+    for i, row in enumerate(rows[:size]):
+        cell = row[column].strip() if column < len(row) else ""
+        try:
+            values[i] = float(cell.replace(",", ".") if comma else cell) if cell else np.nan
+        except ValueError:
+            raise FileFormatError(f"{where}, line {line + i}, column {name!r}: {cell[:40]!r} is not a number") from None
     return values

@@ -121,10 +121,7 @@ class _Elements:
         return start, length
 
     def check_array(self, end: int, depth: int = 0) -> None:
-        """Pass over an array, behind its tag, that ends at a place and lies in others, `depth` of them.
-
-        Whatever is in it has to have the types that its class has.
-        """
+        """Pass over an array that ends at a place, in `depth` others, whose parts must have the types of its class."""
         start, length = self.element(end, frozenset({6}), "flags")
         if length < 8:
             raise ValueError("flags are cut off")

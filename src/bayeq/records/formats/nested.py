@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -56,15 +57,12 @@ def _word(path: str) -> str:
 def channels_of(tree: Any, where: str) -> list[Channel]:
     """Every array of a tree of mappings (fields), lists (cells) and arrays, in order.
 
-    Text next to an array named unit or units is its unit, text called name next to a single array its name, a number
-    named dt, Ts, fs ... the step of time. Arrays have `shape`, `dtype` and are read by ``array[...]``. A tree of more
-    than 64 levels or 100,000 arrays is refused.
+    Beside an array, text called unit or units is its unit, text called name the name of a single one, and a number
+    called dt, Ts, fs ... the step of time. Too many arrays or levels are refused.
     """
-    found: list[Channel] = []
-    for channel in _walk(tree, "", {}, where, 0):
-        found.append(channel)
-        if len(found) > MOST_ARRAYS:
-            raise FileFormatError(f"{where}: more than {MOST_ARRAYS} arrays; that is no record")
+    found = list(islice(_walk(tree, "", {}, where, 0), MOST_ARRAYS + 1))
+    if len(found) > MOST_ARRAYS:
+        raise FileFormatError(f"{where}: more than {MOST_ARRAYS} arrays; that is no record")
     return found
 
 
@@ -141,9 +139,8 @@ def read_pieces(
 ) -> list[tuple[Request, Columns]]:
     """The columns of each record that is asked for, with the request for that one alone.
 
-    Without names in the request these are all channels of one length; `names` are then their names, in order. Of the
-    samples only `rows` are read. A FileFormatError says that there are no arrays, or that lengths or rates differ
-    between the channels; an UnknownNameError that there is no such channel.
+    Without names in the request these are all channels of one length, which `names` are then names of, in order. Only
+    `rows` are read. FileFormatError without arrays, or for different lengths or rates; UnknownNameError for a channel.
     """
     if not channels:
         raise FileFormatError(f"{where}: holds no array of numbers that could be a channel")

@@ -43,10 +43,7 @@ def columns_of(array: AnyArray, where: str) -> tuple[list[str], list[AnyArray]]:
 
 
 def read_array(file: IO[bytes], size: int, where: str, what: str) -> AnyArray:
-    """Read an array in NumPy's format from its first byte, of `size` bytes; `where` and `what` are for messages.
-
-    A FileFormatError refuses one of objects, which would have to be unpickled, or that claims more than the file holds.
-    """
+    """Read an array in NumPy's format, of `size` bytes; pickled objects and false claims are refused."""
     version = np.lib.format.read_magic(file)
     if version not in _HEADERS:
         raise FileFormatError(f"{where}: {what} has version {version} of NumPy's format; 1.0 and 2.0 are read")
@@ -72,11 +69,9 @@ class NpyRows(FileRows):
 
     @cached_property
     def bounds(self) -> tuple[int, ...]:
-        """Units of equal length."""
         return grid(len(self._columns()[1][0]))
 
     def read(self, start: int, stop: int, request: Request) -> Columns:
-        """Rows `start` to `stop`."""
         texts, columns = self._columns()
         return Columns.build(
             Headers.parse(texts, str(self.path)), lambda i: np.array(columns[i][start:stop]), request.rows

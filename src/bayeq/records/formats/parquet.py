@@ -57,7 +57,6 @@ def values_of(pa: Any, column: Any) -> Any:
 
 
 def write(record: Record, path: Path) -> None:
-    """Write a record as a Parquet file."""
     pa, pq = library()
     columns = record.to_columns()
     table = pa.table(dict(zip(columns.names, columns.values, strict=True)))
@@ -89,7 +88,6 @@ class ParquetRows(FileRows):
         return tuple(out)
 
     def read(self, start: int, stop: int, request: Request) -> Columns:
-        """Rows `start` to `stop`."""
         pa, pq = library()
         where = str(self.path)
         wanted = parts_between(self.groups, start, stop)

@@ -50,10 +50,7 @@ class Writer(Protocol):
 
 @dataclass(frozen=True)
 class FileRows:
-    """The rows of a file, of which some are read at a time; small, and can be sent to other processes.
-
-    `request` says which arrays they are, where the file holds many.
-    """
+    """Rows of a file, some read at a time, also in other processes; of many arrays `request` says which."""
 
     path: Path
     request: Request = field(default_factory=Request)
@@ -101,10 +98,7 @@ MOST_COLUMNS = 16_384
 
 
 def check_claim(where: str, what: str, claimed: int, stored: int) -> None:
-    """Refuse what claims to unpack to more than 4 GiB, or to more than 64 MiB and 100 times what the file holds.
-
-    `where` and `what`, the file and the part of it, are for the message; sizes are in bytes.
-    """
+    """Refuse what takes more than 4 GiB, or more than 64 MiB and 100 times what the file holds; sizes are in bytes."""
     if claimed > MOST_BYTES:
         raise FileFormatError(f"{where}: {what} takes {in_words(claimed)}; at most {in_words(MOST_BYTES)} are read")
     if claimed > max(SMALL_BYTES, MOST_RATIO * stored):

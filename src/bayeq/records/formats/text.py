@@ -106,8 +106,8 @@ def _read(
     if unnamed and trials and given is None and _is_trial_and_time(data):
         headers = Headers.parse(["trial", "t", *readings[0]], where)
     if layout.stamps:
-        kept = range(len(headers))
-        headers = replace(headers, units=["s" if i in layout.stamps else headers.units[i] for i in kept])
+        units = ["s" if i in layout.stamps else unit for i, unit in enumerate(headers.units)]
+        headers = replace(headers, units=units)
     columns = np.ascontiguousarray(data.T)
     found = Columns.build(headers.renamed(given), columns.__getitem__, chosen)
     return replace(found, step=layout.step, begins=begins, doubts=(*found.doubts, *doubts))
@@ -150,17 +150,14 @@ class _Lines:
                     raise
                 rows += 1
                 values.extend(row)
-                if cells[-1].strip():
-                    self.trailing = False
-                    last = rows
-                elif any(map(str.strip, cells)):
+                self.trailing = self.trailing and not cells[-1].strip()
+                if any(map(str.strip, cells)):
                     last = rows
         data = np.frombuffer(values, dtype=np.float64).reshape(-1, layout.width)
         # Rows of empty cells at the end are what spreadsheets leave behind; within the data they are gaps.
         return data[:last] if last else data
 
     def _row(self, line: str, number: int) -> tuple[list[str], list[float]]:
-        """Cells of a line, and their numbers."""
         layout, mark = self.layout, self.layout.delimiter
         plain = mark is not None and '"' not in line
         cells = line.rstrip("\n").split(mark) if plain else split(line, mark)  # float() strips
@@ -270,10 +267,7 @@ class _Lines:
 
 
 def write(record: Record, path: Path) -> None:
-    """Write a record as text: a header such as ``t,x [m],v``, and numbers that read back bit by bit.
-
-    Tabs separate the cells of a ``.tsv``, commas those of others.
-    """
+    """Write a record as text: a header such as ``t,x [m],v``, and numbers that read back bit by bit."""
     columns = record.to_columns()
     mark = "\t" if path.suffix.lower() == ".tsv" else ","
     units = columns.headers.stated_units()
@@ -294,7 +288,6 @@ class TextRows(FileRows):
 
     @cached_property
     def layout(self) -> Layout:
-        """How the file is laid out."""
         if encodings(self.path) in ((), ("utf-16",)):
             raise FileFormatError(
                 f"{self.path}: not a text file of single-byte characters; write UTF-8, or a Parquet file"
@@ -309,15 +302,11 @@ class TextRows(FileRows):
 
     @cached_property
     def headers(self) -> Headers:
-        """Names of the columns."""
         return _named(self.layout, str(self.path))[0]
 
     @cached_property
     def index(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """First rows of units, and the number of rows; the byte at which each begins, and that at the end.
-
-        Lines that are empty count for nothing.
-        """
+        """First rows of units, and the number of rows that are not empty; the bytes at which they begin and end."""
         bounds, places, row = [0], [], 0
         with self.path.open("rb") as file:
             for _ in range(self.layout.skip):
@@ -339,11 +328,9 @@ class TextRows(FileRows):
 
     @property
     def bounds(self) -> tuple[int, ...]:
-        """Units of equal length."""
         return self.index[0]
 
     def read(self, start: int, stop: int, request: Request) -> Columns:
-        """Rows `start` to `stop`."""
         bounds, places = self.index
         first = int(np.searchsorted(bounds, start, side="right")) - 1
         last = int(np.searchsorted(bounds, stop, side="left"))

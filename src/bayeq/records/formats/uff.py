@@ -22,7 +22,6 @@ _AXES = {0: "", 1: "x", 2: "y", 3: "z", 4: "rx", 5: "ry", 6: "rz"}
 
 
 def is_uff(path: Path, head: bytes) -> bool:
-    """Whether a file begins as universal files do."""
     return _BEGIN.match(head) is not None
 
 
@@ -37,11 +36,9 @@ def channels(path: Path) -> list[Channel]:
         begun = sum(number == b"58" for number in _BEGIN.findall(path.read_bytes()))
         if kinds.count(58) < begun:
             raise FileFormatError(f"{where}: {begun} functions begin and {kinds.count(58)} end; the file is cut off")
-        functions = [(k, file.read_sets(k)) for k, kind in enumerate(kinds) if kind == 58]
-    found: list[Channel] = []
-    for place, (_, function) in enumerate(functions):
-        if _is_history(function):
-            found.extend(_channels(function, place, where))
+        functions = [file.read_sets(k) for k, kind in enumerate(kinds) if kind == 58]
+    histories = ((place, one) for place, one in enumerate(functions) if _is_history(one))
+    found = [channel for place, one in histories for channel in _channels(one, place, where)]
     if not found:
         raise FileFormatError(
             f"{where}: no time history (dataset 58 of function type 1) among {len(functions)} functions; spectra and"

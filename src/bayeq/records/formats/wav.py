@@ -17,7 +17,6 @@ PCM, FLOAT, EXTENSIBLE = 1, 3, 0xFFFE
 
 
 def is_wav(path: Path, head: bytes) -> bool:
-    """Whether a file begins as these do."""
     return head[:4] == b"RIFF" and head[8:12] == b"WAVE"
 
 

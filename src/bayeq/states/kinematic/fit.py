@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -92,8 +92,16 @@ def fit_kinematic(
 
     if order is not None:
         return fitted(order)
+    # uphill by the leave-one-out density
     highest = len(known) - 1
-    return _best_order(fitted, highest + FIRST_EXTRA, range(highest + 1, highest + 1 + STATES.most_extra))
+    start = best = fitted(highest + FIRST_EXTRA)
+    for direction in (1, -1):
+        at = start.order + direction
+        while highest < at <= highest + STATES.most_extra and (other := fitted(at)).left_out > best.left_out:
+            best, at = other, at + direction
+        if best is not start:
+            break
+    return best
 
 
 def _known(derivatives: int, noise_sd: Sequence[float | None] | None) -> Floats:
@@ -172,18 +180,6 @@ def lowest_level(times: Floats, samples: Floats) -> float:
     return min(float(band.mean()) for band in bands)
 
 
-def _best_order(fitted: Callable[[int], KinematicModel], first: int, orders: range) -> KinematicModel:
-    """The order of the best leave-one-out density: uphill from the first."""
-    start = best = fitted(first)
-    for direction in (1, -1):
-        order = first + direction
-        while order in orders and (other := fitted(order)).left_out > best.left_out:
-            best, order = other, order + direction
-        if best is not start:
-            break
-    return best
-
-
 class _Likelihood:
     """Log-likelihood of some records in the logarithms of what is to be estimated.
 
@@ -201,19 +197,17 @@ class _Likelihood:
         self.count = sum(r.count for r in rows)
 
     def unpack(self, parameters: Floats) -> tuple[float, Floats]:
-        """Q and the noise levels."""
         noise_sd = self.known.copy()
         noise_sd[self.free] = np.sqrt(self.sizes.variance[self.free] * np.exp(parameters[: len(self.free)]))
         return self.unit * math.exp(parameters[-1]), noise_sd
 
     @property
-    def bounds(self) -> list[tuple[float, float]]:
-        noise = (math.log(LEAST_VARIANCE), math.log(MOST_VARIANCE))
-        roughness = (self.power * math.log(BANDWIDTHS[0]), self.power * math.log(BANDWIDTHS[1]))
-        return [noise] * len(self.free) + [roughness]
+    def bounds(self) -> Floats:
+        """Least and most, (2, F)."""
+        noise = np.tile(np.log([[LEAST_VARIANCE], [MOST_VARIANCE]]), len(self.free))
+        return np.column_stack([noise, self.power * np.log(BANDWIDTHS)])
 
     def value(self, parameters: Floats) -> float:
-        """The log-likelihood."""
         density, noise_sd = self.unpack(parameters)
         return sum(r.filter(self.order, density, noise_sd, self.initial).log_likelihood for r in self.rows)
 
@@ -251,10 +245,16 @@ class _Likelihood:
             value, gradient, _ = self.scored(at)
             return -value / self.count, -gradient / self.count
 
-        found = minimise(loss, self.start(floors), *np.transpose(self.bounds), gradient_tolerance=STATIONARY)
+        found = minimise(loss, self.start(floors), *self.bounds, gradient_tolerance=STATIONARY)
         value, gradient, left_out = self.scored(found.x)
-        if doubts and not found.converged:
-            self._warn_of(found.x, gradient / self.count)
+        uphill = np.clip(found.x + gradient / self.count, *self.bounds) - found.x
+        if doubts and not found.converged and np.abs(uphill).max(initial=0.0) > DOUBTFUL:
+            warnings.warn(
+                f"noise levels of order {self.order} may be off, the search stopped short: give them (noise=), or look"
+                " for bad samples",
+                ConvergenceWarning,
+                stacklevel=3,
+            )
         density, noise_sd = self.unpack(found.x)
         return KinematicModel(
             order=self.order,
@@ -264,14 +264,3 @@ class _Likelihood:
             log_likelihood=value,
             left_out=left_out,
         )
-
-    def _warn_of(self, parameters: Floats, gradient: Floats) -> None:
-        low, high = np.array(self.bounds).reshape(-1, 2).T
-        uphill = np.clip(parameters + gradient, low, high) - parameters
-        if np.abs(uphill).max(initial=0.0) > DOUBTFUL:
-            warnings.warn(
-                f"noise levels of order {self.order} may be off, the search stopped short: give them (noise=), or look"
-                " for bad samples",
-                ConvergenceWarning,
-                stacklevel=4,
-            )

@@ -366,9 +366,6 @@ def _filtered_means(series: ChainSeries, model: KinematicModel) -> Floats:
 def filtered(series: ChainSeries, model: KinematicModel, states: bool = False) -> tuple[Rows, Filtered]:
     """A record as the kernels see it, and what the filter leaves of it: also of the states, where they are wanted."""
     noise_sd = np.array([np.nan if sd is None else sd for sd in model.noise_sd], dtype=np.float64)
-    if model.initial_sd is None:
-        initial = sizes_of([series], least=model.noise_sd).initial_sd(model.order)
-    else:
-        initial = np.array(model.initial_sd, dtype=np.float64)
+    initial = np.array(model.initial_sd or sizes_of([series], least=model.noise_sd).initial_sd(model.order))
     rows = prepare(series, initial, states)
     return rows, rows.filter(model.order, model.spectral_density, noise_sd, initial, states)
