@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ import pytest
 import bayeq as bq
 from bayeq.cli.app import main
 from bayeq.cli.terminal import COMPILING, PROGRESS
+from bayeq.errors import DataWarning
 from tests.uncovered import uncovered
 
 
@@ -237,3 +239,11 @@ def test_channels_by_their_headers(tmp_path, capsys):
     arguments = ["--disp", "Displ. (m)", "--vel", 'Vel, "rel"', "--acc", "Acc-1", "--force", "F#1", "--json"]
     assert main(["discover", str(path), *arguments, "--smooth", "none"]) == 0
     assert json.loads(capsys.readouterr().out)["equations"][0]["target"] == "Acc_1"
+
+
+def test_no_warning_of_numpy_s_own_is_printed(capsys):
+    main(["systems"])
+    capsys.readouterr()
+    warnings.showwarning("overflow encountered in square", RuntimeWarning, "a.py", 1)
+    warnings.showwarning("few rows", DataWarning, "a.py", 1)
+    assert capsys.readouterr().err == "bayeq: warning: few rows\n"

@@ -135,7 +135,7 @@ def test_an_epidemic_is_found_as_its_flows_and_balances_to_the_last_digit() -> N
     assert sd["dS"]["S*I"] == pytest.approx(sd["dI"]["S*I"], rel=1e-9)
     np.testing.assert_allclose(eq.predict(record).sum(axis=1), 0.0, atol=1e-14)
     # its terms are known from both equations
-    with pytest.warns(TermWarning, match=r"S \+ I \+ R does not change.*--conserve 'S \+ I \+ R'"):
+    with pytest.warns(TermWarning, match=r"give --conserve 'S \+ I \+ R', which does not change"):
         free = found(record, conserve="", dictionary="I, S*I", holdout=0.0)
     tied = found(record, dictionary="I, S*I", holdout=0.0)
     own = dict(zip(free["dI"].posterior.names, free["dI"].shown_posterior.sd, strict=True))

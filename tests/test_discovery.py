@@ -170,7 +170,7 @@ def test_an_equation_that_explains_little_is_warned_of():
     rng = np.random.default_rng(0)
     noise = bq.Record.from_arrays(x=rng.normal(size=300), v=rng.normal(size=300))
     with pytest.warns(
-        DataWarning, match=r"no equation found: the terms explain little of v on the held-out rows; check the channels"
+        DataWarning, match=r"v: no equation: the terms explain little on the held-out rows; check channels"
     ):
         bq.discover(noise, chains="x:v", dictionary="polynomial:2")
 

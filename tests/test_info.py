@@ -15,11 +15,13 @@ from hypothesis import strategies as st
 
 import bayeq as bq
 from bayeq.cli.app import main
-from bayeq.errors import FileFormatError, InputError, RecordError
+from bayeq.errors import DataWarning, FileFormatError, InputError, RecordError
 from bayeq.inspection.channels import bars, spectrum
 from bayeq.inspection.roles import INPUT, REFERENCE, STATE, clue_of
+from bayeq.records.names import clean_names
 from tests.data import measured, pendulum_record
 from tests.draws import draws
+from tests.headers import noisy, oscillator
 
 FS = 200.0
 
@@ -689,3 +691,106 @@ def test_days_weeks_and_years_are_time(name):
     k = np.arange(80.0)
     found = bq.info(bq.Record({name.replace(" ", "_"): k, "x": np.sin(k)}))
     assert found.experiments.time == name.replace(" ", "_")
+
+
+def test_a_channel_without_a_word_or_unit_does_not_push_a_motion_out():
+    made = oscillator()
+    t, x, force = made["t"], made["x"], made["F"]
+    switches = {"Trigger": 5.0 * (t > 1.0), "Status": 1.0 * (t % 3 > 1.5)}
+    for motion_of in ("Laser_1", "Weg_vorne", "c1"):
+        for name, switch in switches.items():
+            units = {"c1": "mm"} if motion_of == "c1" else {}
+            guess = bq.info(bq.Record({motion_of: x, "Force": force, name: switch}, t, units)).guess
+            assert (guess.chains, guess.inputs) == (((motion_of, None, None),), ("Force",))
+            assert guess.undecided == (name,)
+
+
+def test_short_arrays_are_named_and_settings_are_not(tmp_path):
+    t, x, v, _ = motion(1000)
+    path = tmp_path / "run.mat"
+    for others in ({"T": x[:100]}, {"slow": {"time": t[::20], "T": x[::20]}}):
+        scipy.io.savemat(path, {"t": t, "x": x, "v": v, "masses": x[:3], **others})
+        with pytest.warns(DataWarning, match=r"of arrays of 1000 samples; there are others: (T|slow\.time) \("):
+            found = bq.info(path)
+        assert list(found.channels) == ["x", "v"]
+    scipy.io.savemat(
+        path, {"t": t, "x": x, "v": v, "w": x[:900], "masses": x[:3], **{f"k{i}": x[:50] for i in range(5)}}
+    )
+    found = bq.info(path)
+    assert list(found.channels) == ["x", "v"]
+    assert "there are others: w (900), k0 (50)" in found.findings[0]
+    scipy.io.savemat(path, {"t": t, "x": x, "v": v, "masses": x[:3]})
+    assert bq.read(path).names == ("x", "v")
+
+
+def test_impossible_samples_are_missing_ones_as_in_discover():
+    t, x, _, a = motion()
+    x[100], a[200] = np.inf, 1e300
+    found = bq.info(bq.Record({"x": x, "a": a}, t, {"x": "m", "a": "m/s^2"}))
+    assert found.guess.chains == (("x", None, "a"),)
+    assert found.channels["a"].greatest < 1e6
+    assert "a: 1 sample is infinite or beyond 1e+50 (row 201): taken as missing" in " ".join(found.findings)
+
+
+@pytest.mark.parametrize("size", [1e160, 1e-200])
+def test_huge_and_tiny_numbers_are_described(size):
+    made = oscillator()
+    assert bq.info(bq.Record({"x": made["x"] * size, "F": made["F"]}, made["t"])).guess.inputs == ("F",)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *(
+            "Shaking table acc",
+            "Shake table 1 acc",
+            "Rütteltisch Beschl",
+            "Schwingtischbeschleunigung",
+            "acc_Schwingtisch",
+        ),
+        *("Accélération table vibrante", "Bodenbeschleunigung", "Fundamentbeschl", "Acc fondation"),
+    ],
+)
+@pytest.mark.parametrize("unit", ["g", "m/s^2", ""])
+def test_what_a_structure_stands_on_drives_it(name, unit):
+    (cleaned,), _ = clean_names([name])
+    assert clue_of(cleaned, unit).order == INPUT
+    for other in ("Shaker acc", "Tischbeschleunigung", "Solenoid acc"):
+        assert clue_of(clean_names([other])[0][0], unit).order == 2
+
+
+@pytest.mark.parametrize("names", [("Motor_angle", "Link_angle"), ("Weg_Laser", "Weg_LVDT"), ("x1", "x2")])
+def test_what_moves_as_another_coordinate_does_is_a_question(names):
+    made = oscillator()
+    beside = made["x"] + 0.02 * made["x"].std() * np.random.default_rng(0).normal(size=len(made["t"]))
+    channels = {names[0]: made["x"], names[1]: beside, "F": made["F"]}
+    found = bq.info(bq.Record(channels, made["t"], {**dict.fromkeys(names, "rad"), "F": "Nm"}))
+    assert found.guess.inputs == ("F",)
+    assert f"as a coordinate: --chain {names[0]}:: --chain {names[1]}::" in " ".join(found.proposal.notes)
+
+
+@pytest.mark.parametrize("cubic", [0.0, 2e5])
+@pytest.mark.parametrize(("chain", "turned"), [("xa", "x"), ("xa", "a"), ("xv", "x"), ("xv", "v"), ("va", "v")])
+def test_a_force_says_which_of_two_channels_is_reversed(chain, turned, cubic, tmp_path):
+    made = noisy(oscillator(cubic=cubic))
+    path = tmp_path / "run.csv"
+    channels = {name: -made[name] if name == turned else made[name] for name in (*chain, "F")}
+    bq.write(bq.Record(channels, made["t"]), path)
+    assert f" --scale {turned}=-1 " in bq.info(path).proposal.command
+
+
+@pytest.mark.parametrize("header", ["t", "Zeit [s]"])
+def test_times_that_are_all_the_same_are_refused_as_discover_does(header, tmp_path, capsys):
+    path = tmp_path / "run.csv"
+    path.write_text(f"{header},x\n" + "".join(f"1.5,{k / 10}\n" for k in range(50)))
+    assert main(["info", str(path)]) == 2
+    assert "all 50 times are 1.5: the clock is too coarse" in capsys.readouterr().err
+
+
+def test_numbers_from_a_hundred_on_are_written_plainly():
+    t, rng = np.arange(40_000) / 10_000, np.random.default_rng(0)
+    tone = np.sin(2 * np.pi * 1000 * t)
+    found = bq.info(bq.Record({"x": tone, "slow": np.repeat(rng.normal(size=400), 100)}, t))
+    assert "1000 Hz" in str(found)
+    assert "slow changes in every 100 rows only" in " ".join(found.findings)
+    assert "e+0" not in str(found)

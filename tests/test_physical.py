@@ -264,7 +264,7 @@ def test_from_a_record():
         found["q"]
 
 
-@pytest.mark.filterwarnings("ignore:.*no equation found:bayeq.errors.DataWarning")  # the rows are no motion
+@pytest.mark.filterwarnings("ignore:.*no equation:bayeq.errors.DataWarning")  # the rows are no motion
 def test_equations_without_or_with_several_of_second_order():
     rng = np.random.default_rng(0)
     x = rng.normal(size=(200, 2))

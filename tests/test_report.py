@@ -147,6 +147,10 @@ def test_without_a_record_there_are_fewer_pictures_and_no_samples(eq, tmp_path):
     assert "Verdict: found" in page.text
 
 
+def test_the_method_is_a_word(page):
+    assert "auto (bayeq discover -h)" in page.text
+
+
 def test_physical_parameters_and_the_verdict_once(page, eq):
     text = page.text
     assert text.count("Verdict:") == 1
@@ -272,6 +276,15 @@ def test_live_pictures_hold_the_numbers_of_the_still_ones(eq, record):
     bars = as_bokeh([bq.figures.pip_bars(eq)])
     assert "x³" in bars.yaxis[0].major_label_overrides.values()
     assert bars.tools
+
+
+def test_a_matrix_keeps_its_height_and_legends_have_room(eq, record):
+    matrix = as_bokeh([bq.figures.candidate_correlation(eq, record)])
+    assert matrix.height is None
+    assert matrix.frame_height == 30 * len(matrix.yaxis[0].major_label_overrides)
+    assert type(matrix.right[0]).__name__ == "ColorBar"
+    curve = as_bokeh([bq.figures.restoring_force_curve(eq, record)])
+    assert [one.ncols for one in curve.above if type(one).__name__ == "Legend"] == [2]
 
 
 @pytest.mark.parametrize(

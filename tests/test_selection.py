@@ -322,3 +322,12 @@ def test_of_a_few_rows_included_terms_may_be_copies_of_each_other():
     one = discover(adverse_record(CASES["few rows"], 60, 120007), **OSCILLATOR)[0]
     assert one.verdict.kind != "found"
     assert np.isfinite(one.shown_posterior.covariance).all()
+
+
+@pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
+def test_a_term_that_is_infinite_at_twice_the_motion_says_nothing_raw():
+    rng = np.random.default_rng(0)
+    x = rng.uniform(-300.0, 300.0, 400)
+    record = bq.Record.from_arrays(x=x, y=3.0 * x + rng.normal(size=400), fs=10.0)
+    found = bq.discover(record, target="y", inputs=["x"], dictionary="x, exp(x), sin(x)", smooth="none")
+    assert found[0].shown == ("x",)

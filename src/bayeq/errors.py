@@ -273,6 +273,17 @@ def some_of(texts: Sequence[str], width: int = 60, between: str = ", ") -> str:
     return between.join(shown) + (f" and {rest} more" if rest else "")
 
 
+def in_digits(value: float, digits: int = 2) -> str:
+    """A number in some digits, or in as many as stand before its point, to 100,000.
+
+    Examples
+    --------
+    >>> in_digits(0.01234), in_digits(99.7), in_digits(1250.4, 3), in_digits(2e7)
+    ('0.012', '100', '1250', '2e+07')
+    """
+    return f"{value:.0f}" if 10.0**digits - 0.5 <= abs(value) < 1e5 else f"{value:.{digits}g}"
+
+
 # What is shown of an argument of the wrong type.
 MOST_SHOWN = 40
 

@@ -183,6 +183,8 @@ for command in COMMANDS:
 
 
 def _show_warning(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
+    if category is RuntimeWarning:  # a number overflowed on the way: what it is part of is judged where it ends
+        return
     label = "warning" if issubclass(category, BayeqWarning) else category.__name__
     say(f"bayeq: {label}: {printable(one_line(message))}")
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from bayeq.errors import BayeqError, InputError
+from bayeq.errors import BayeqError, InputError, in_digits
 from bayeq.resumable.posix import address_space
 
 if TYPE_CHECKING:
@@ -151,7 +151,7 @@ class Progress(AbstractContextManager["Progress"]):
 
     def _finish(self) -> None:
         if self.verbose and self.stage:
-            say(f"bayeq: {self.stage}: {clock.monotonic() - self.began:.2g} s")
+            say(f"bayeq: {self.stage}: {in_digits(clock.monotonic() - self.began)} s")
 
     def _watch(self, stop: threading.Event) -> None:
         pause = PATIENCE
@@ -293,7 +293,8 @@ class Outputs:
             (self.report, partial(_write_report, answer, records, files)),
         )
         try:
-            show_equations(answer, as_json, self.conditional, self.physical, self.explain, verbose)
+            folder = next(iter(files), Path()).parent
+            show_equations(answer, as_json, self.conditional, self.physical, self.explain, verbose, folder)
         finally:
             failures = [said for path, write in writers if path is not None and (said := _tried(path, write, progress))]
             if failures:
@@ -326,9 +327,18 @@ def _write_report(
 
 
 def show_equations(
-    answer: Equations, as_json: bool, conditional: bool, physical: bool, explain: bool = False, verbose: bool = False
+    answer: Equations,
+    as_json: bool,
+    conditional: bool,
+    physical: bool,
+    explain: bool = False,
+    verbose: bool = False,
+    folder: Path = Path(),
 ) -> None:
-    """Print equations in a few lines, in full where that or more than them is asked for, or as one JSON object."""
+    """Print equations in a few lines, in full where that or more than them is asked for, or as one JSON object.
+
+    A file in the folder is named with it.
+    """
     if as_json:
         out, none = answer.to_dict(), None
         try:
@@ -343,7 +353,7 @@ def show_equations(
     if not (verbose or conditional or physical or explain):
         from bayeq.equation.brief import brief
 
-        click.echo(brief(answer))
+        click.echo(brief(answer, folder))
         return
     from bayeq.equation.text import render
 

@@ -132,7 +132,7 @@ def warn_of_sums(design: Design, log: WarningLog) -> None:
             if found is not None and found.chance > CHANCE and found.sd < STILL * found.largest:
                 total = " + ".join(chains[c].names[0] for c in some)
                 log.warn(
-                    f"{total} does not change, so that its products with terms tell nothing: give --conserve '{total}'",
+                    f"give --conserve '{total}', which does not change: products with it tell nothing",
                     TermWarning,
                 )
                 return

@@ -19,7 +19,7 @@ from bayeq.equation import along
 from bayeq.equation.equations import Equations
 from bayeq.equation.verdict import state_noise, window_errors
 from bayeq.equation.written import finite, moment
-from bayeq.errors import DataWarning, InputError
+from bayeq.errors import DataWarning, InputError, in_digits
 from bayeq.forecast.free_run import Forecast
 from bayeq.forecast.score import percent, percentages
 from bayeq.numerics.distributions import Z95
@@ -211,9 +211,9 @@ def _out_of_range(equations: Equations, records: Sequence[Record]) -> list[str]:
         least, most = float(np.nanmin(samples)), float(np.nanmax(samples))
         room = BEYOND * (high - low)
         if least < low - room or most > high + room:
+            here, there = (" .. ".join(in_digits(end, 3) for end in ends) for ends in ((least, most), (low, high)))
             out.append(
-                f"{name}, {least:.3g} .. {most:.3g}, goes beyond the {low:.3g} .. {high:.3g} of the equations' records:"
-                " they are extrapolated there"
+                f"{name}, {here}, goes beyond the {there} of the equations' records: they are extrapolated there"
             )
     return out
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import shlex
 import textwrap
 from collections.abc import Iterator, Sequence
 from itertools import chain
@@ -16,7 +18,7 @@ from bayeq.equation.equation import Equation
 from bayeq.equation.physical import forces_of, own_parameters
 from bayeq.equation.quantities import PhysicalParameters, Quantity
 from bayeq.equation.written import moment
-from bayeq.errors import printable
+from bayeq.errors import in_digits, printable
 from bayeq.expressions import parse
 from bayeq.figures.runs import draw_states
 from bayeq.figures.style import above, axes_for, style
@@ -51,11 +53,11 @@ MOST_BENT = 2
 DERIVED = ("omega_n",)
 
 
-def brief(eq: Answer) -> str:
+def brief(eq: Answer, folder: str | os.PathLike[str] = "") -> str:
     """Verdict, law in physical parameters where there are any, equations, checks and source; or what to try."""
     lines = _wrapped(f"verdict: {eq.verdict.kind}: {sentence(eq)}")
     if eq.verdict.kind == "none":
-        return "\n".join([*lines, "", *_wrapped(what_to_try(eq))])
+        return "\n".join([*lines, "", *_wrapped(what_to_try(eq, folder))])
     physical, second = own_parameters(eq), [one for one in eq.equations if one.chain.order == 2]
     # the equation that physical parameters are of, if that is one alone
     owner = second[0] if len(second) == 1 else eq.equations[0] if len(eq.equations) == 1 else None
@@ -131,18 +133,18 @@ def sentence(eq: Answer) -> str:
         if name in eq.data.measured.ranges and name not in eq.numbers:
             low, high = eq.data.measured.ranges[name]
             unit = eq.equations[0].units.get(name, "")
-            ends = [f"{end:.2g}" if abs(end) < 100.0 else f"{end:.3g}" for end in (low, high)]
+            ends = [in_digits(low), in_digits(high)]
             ranges.append(f"{name} {' .. '.join(ends)}{' ' if unit else ''}{unit}")
     within = f" for {', '.join(ranges)}" if ranges else ""
     return printable(f"no test speaks against {'it' if len(eq.equations) == 1 else 'them'}{within}")
 
 
-def what_to_try(eq: Answer) -> str:
+def what_to_try(eq: Answer, folder: str | os.PathLike[str] = "") -> str:
     """Where no equation was found: the likely cause and a command."""
     if eq.verdict.advice:
         return printable(f"Likely {eq.verdict.advice}.")
     names = [name for name in eq.data.files if name]
-    file = printable(names[0]) if names else "FILE"
+    file = printable(shlex.quote(os.path.join(folder, names[0]))) if names else "FILE"
     return (
         "Likely a channel has another role, unit or sign than was said, or the candidates lack what moves it."
         f" Try: bayeq info {file}"

@@ -33,6 +33,7 @@ from bayeq.errors import (
     CorrelatedResidualsWarning,
     DataWarning,
     WarningLog,
+    in_digits,
     some_of,
 )
 from bayeq.forecast.dynamics import Dynamics
@@ -280,7 +281,7 @@ def _late(equation: Equation, motion: Motion) -> Suspect | None:
 
 def _beyond(name: str, end: float, free: float, sds: float) -> str:
     """A bound, and by how many standard deviations the coefficient would be beyond it."""
-    return f"{name} {'<=' if free > end else '>='} {end:.4g} by {f'{sds:.2g}' if sds < 10.0 else f'{sds:.0f}'} sd"
+    return f"{name} {'<=' if free > end else '>='} {end:.4g} by {in_digits(sds)} sd"
 
 
 def _against_stated(equation: Equation, selection: Selection) -> Iterator[tuple[str, float]]:
@@ -357,9 +358,9 @@ def warnings_of(equation: Equation, selection: Selection) -> Said:
         bound = _beyond(name, end, free, sds)
         yield f"the record contradicts {bound} (free: {free:.4g}): check units", DataWarning
     if equation.verdict.kind == "none":
-        why = equation.verdict.reason.partition(", though")[0].partition(" (")[0]
+        why = equation.verdict.reason.removeprefix("no equation found: ").partition(", though")[0].partition(" (")[0]
         why = why.replace("started from a measured state the equation is", "free runs are")
-        yield f"{why}; check the channels", DataWarning
+        yield f"no equation: {why.replace(f' of {equation.target}', '')}; check channels", DataWarning
     else:  # of no equation no terms are shown
         yield from _of_rivals(equation, selection)
     yield from _of_residuals(equation, regression)

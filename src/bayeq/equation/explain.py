@@ -11,6 +11,7 @@ from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation
 from bayeq.equation.text import DOUBTFUL, MARK, left_beside_noise
 from bayeq.equation.written import round_to
+from bayeq.errors import in_digits
 from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
 
 WIDTH = 100
@@ -98,8 +99,8 @@ def _of_constants(equation: Equation) -> Iterator[str]:
     for one in equation.shown_constants:
         yield (
             f"{{{one.name}}}: a constant inside {' and '.join(one.terms)}, found with the coefficients, from values of"
-            f" {one.low:.3g} to {one.high:.3g}; its interval and theirs allow for each other. It has no probability of"
-            " its own: that of the term is for any value in this range."
+            f" {in_digits(one.low, 3)} to {in_digits(one.high, 3)}; its interval and theirs allow for each other. It"
+            " has no probability of its own: that of the term is for any value in this range."
         )
 
 
@@ -109,8 +110,8 @@ def _of_checks(equation: Equation, eq: Answer) -> Iterator[str]:
         yield (
             f"held-out rows: the last {fit.n} rows were not used to find the equation that predicts them here. R2"
             f" {fit.r2:.3f}: it explains {100 * max(fit.r2, 0.0):.3g} % of the variance of {equation.target}; the"
-            f" normalised RMS error, {100 * fit.nrmse:.2g} %, is the error over the standard deviation. Part of it is"
-            " the noise of the channels, which no equation explains."
+            f" normalised RMS error, {in_digits(100 * fit.nrmse)} %, is the error over the standard deviation. Part of"
+            " it is the noise of the channels, which no equation explains."
         )
     scores = eq.scores
     if scores is not None and any(name in scores.free_run for name in equation.chain.states):

@@ -16,7 +16,7 @@ from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation
 from bayeq.equation.verdict import LEAST_SHOWN
 from bayeq.equation.written import moment, odds_text, plain_sd, round_to, with_interval
-from bayeq.errors import printable
+from bayeq.errors import in_digits, printable
 from bayeq.forecast.score import Scores, percent, percentages
 from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
 from bayeq.markup import printed, text_console
@@ -260,10 +260,8 @@ def _checks(equation: Equation, scores: Scores | None) -> Iterator[str]:
         return
     for label, fit in (("training", equation.train), ("held-out", equation.held_out)):
         if fit is not None:
-            error = 100 * fit.nrmse
-            percent = f"{error:.0f}" if 10 <= error < 1e4 else f"{error:.2g}"
             r2 = f"{fit.r2:.4f}" if fit.r2 > -1e4 else f"{fit.r2:.2g}"
-            yield f"{label} rows ({fit.n}): R2 {r2}, normalised RMS error {percent} %"
+            yield f"{label} rows ({fit.n}): R2 {r2}, normalised RMS error {in_digits(100 * fit.nrmse)} %"
     run = {} if scores is None else {name: scores.free_run[name] for name in chain.states if name in scores.free_run}
     if scores is not None and scores.blew_up_at is not None:
         yield f"free run over the held-out rows: blew up at {moment(scores.blew_up_at, chain.discrete)}"

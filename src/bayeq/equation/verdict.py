@@ -14,6 +14,7 @@ from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
 from bayeq.equation.selection.alternatives import Alternatives
 from bayeq.equation.selection.excitation import Repeating
+from bayeq.errors import in_digits
 from bayeq.expressions.implicit import multiplied
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import correlation_time, typical_period, window_runs
@@ -115,7 +116,7 @@ def judge(
         though = f", though the terms explain {target} row by row ({rows})" if rows else ""
         failed = f"started from a measured state the equation is wrong within {length}"
         return Verdict("none", f"no equation found: {failed}{though}")
-    return Verdict("found", f"{rows}{'; ' if rows else ''}free runs over {length} within {100 * error:.2g} %")
+    return Verdict("found", f"{rows}{'; ' if rows else ''}free runs over {length} within {in_digits(100 * error)} %")
 
 
 def doubted(
@@ -171,7 +172,7 @@ def doubted(
         low, high = lacking.octave
         return Verdict(
             "nearly true",
-            f"{unexplained}, mostly at {low:.2g} to {high:.2g} {rate}",
+            f"{unexplained}, mostly at {in_digits(low)} to {in_digits(high)} {rate}",
             f"{CAREFUL}: add inputs or terms, and check the timing of the channels",
         )
     if changing is not None:
@@ -179,8 +180,8 @@ def doubted(
     if coloured is not None:
         return Verdict(
             "nearly true",
-            f"what is left of {coloured.channel} is not white noise: {coloured.ratio:.2g} times as much between"
-            f" {coloured.low:.2g} and {coloured.high:.2g} {rate} (p {_chance(coloured.p)})",
+            f"what is left of {coloured.channel} is not white noise: {in_digits(coloured.ratio)} times as much between"
+            f" {in_digits(coloured.low)} and {in_digits(coloured.high)} {rate} (p {_chance(coloured.p)})",
             f"{CAREFUL}: check calibration, timing, filters and hum of {coloured.channel}",
         )
     if n_eff is not None:
@@ -201,11 +202,14 @@ def suspecting(verdict: Verdict, found: Suspect, seconds: float) -> Verdict:
     prior = f"{name}={math.ceil(size / digit) * digit:.1g}"
     off, remedy = {
         "lag": (f"{name} may be {size:.2g} s {'late' if above else 'early'}", f"--lag-sd {prior} learns that"),
-        "factor": (f"{name} may be {100 * size:.2g} % too {much}", f"--gain-sd {prior} learns that"),
-        "offset": (f"{name} may be {size:.3g} too {much} throughout", f"--remove-offset {name}={found.value:.4g}"),
+        "factor": (f"{name} may be {in_digits(100 * size)} % too {much}", f"--gain-sd {prior} learns that"),
+        "offset": (
+            f"{name} may be {in_digits(size, 3)} too {much} throughout",
+            f"--remove-offset {name}={found.value:.4g}",
+        ),
         "filter": (
-            f"channels look filtered above {size:.3g} Hz",
-            f"--band {1.0 / seconds:.1g}:{size:.3g} allows for that",
+            f"channels look filtered above {in_digits(size, 3)} Hz",
+            f"--band {1.0 / seconds:.1g}:{in_digits(size, 3)} allows for that",
         ),
     }[found.off]
     if verdict.kind == "none":

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayeq.arrays import Floats
-from bayeq.errors import InputError, UnknownNameError, whole_number
+from bayeq.errors import InputError, UnknownNameError, in_digits, whole_number
 from bayeq.expressions.parse import EARLIER
 from bayeq.figures.runs import draw_forecasts
 from bayeq.figures.style import write_output
@@ -102,7 +102,7 @@ class Forecast:
         if self.blew_up_at is not None:
             lines.append(f"blew up at {self.blew_up_at:.6g} {self.clock}")
         for name, error in self.nrmse.items():
-            lines.append(f"{name}: normalised RMS error {100 * error:.3g} %")
+            lines.append(f"{name}: normalised RMS error {in_digits(100 * error, 3)} %")
         if self.draws:
             lines.append(f"{self.draws} runs with coefficients from the posterior, {self.blown} of them blew up")
         return "\n".join(lines)

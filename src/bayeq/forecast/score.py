@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayeq.arrays import Floats
+from bayeq.errors import in_digits
 from bayeq.expressions import Expression
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import fitted_start, mean_run, state_range
@@ -82,8 +83,7 @@ def percentages(errors: Mapping[str, float]) -> str:
 
 def percent(share: float) -> str:
     """A share in per cent, of two significant digits."""
-    value = 100.0 * share
-    return f"{value:.0f} %" if value >= 10 else f"{value:.2g} %"
+    return f"{in_digits(100.0 * share)} %"
 
 
 def score_rows(dynamics: Dynamics, parameters: Floats, pieces: Sequence[Rows], motion: Sequence[Rows] = ()) -> Scores:

@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-from bayeq.errors import printable, some_of
+from bayeq.errors import in_digits, printable, some_of
 from bayeq.inspection.channels import ChannelInfo, bars
 from bayeq.inspection.links import Link
 from bayeq.inspection.roles import INPUT, TITLES, Clue, Guess
@@ -266,7 +266,8 @@ def _row(found: RecordInfo, channel: ChannelInfo, plain: bool, digits: int, long
     if power is not None:
         clock = found.experiments.records[0].clock
         unit = "Hz" if clock == "s" else f"1/{clock}"
-        spectrum = (bars(power, plain), f"{power.peak:.3g} {unit}", f"{power.bandwidth:.3g} {unit}")
+        peak, below = (f"{in_digits(f, 3)} {unit}" for f in (power.peak, power.bandwidth))
+        spectrum = (bars(power, plain), peak, below)
     role = found.guess.role_of(channel.name) or ("constant" if channel.constant else "?")
     values = (f"{value:.{digits}g}" if math.isfinite(value) else "" for value in numbers)
     names = (shortened(text, longest) for text in (channel.name, channel.unit))

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from bayeq.errors import InputError, LengthsError, RecordError, WordsError, some_of
+from bayeq.errors import InputError, LengthsError, RecordError, WordsError, in_digits, some_of
 from bayeq.inspection.channels import ChannelInfo, describe_channels
 from bayeq.inspection.contents import Proposal, Reading, RecordInfo, propose
 from bayeq.inspection.first_order import of_first_order
@@ -30,9 +30,11 @@ from bayeq.inspection.roles import INPUT, REFERENCE, Guess, clues_of, guess_role
 from bayeq.inspection.rows import Experiments, find_bad, gaps_of, sort_rows, starts_from_rest
 from bayeq.records import Record, as_record, check_record, read, without_copies
 from bayeq.records.findings import Finding
+from bayeq.records.formats.nested import SHORT
 from bayeq.records.names import is_time_name, time_unit
 from bayeq.records.record import with_only
 from bayeq.states.bad_samples import ADVICE
+from bayeq.states.prepare import without_impossible
 
 # Of longer records channels are checked against each other on this many rows, the middle ones.
 CHECKED = 40_000
@@ -120,8 +122,9 @@ def _numbers(path: Path, how: dict[str, Any]) -> tuple[Experiments, list[str]]:
         except LengthsError as error:
             if how["names"]:
                 raise
-            # the length that most arrays have, of several such the longest
-            usual = max(Counter(error.sizes.values()).items(), key=lambda one: (one[1], one[0]))[0]
+            # the length that most arrays have but for short ones, of several such the longest
+            counts = Counter(size for size in error.sizes.values() if size > SHORT * max(error.sizes.values()))
+            usual = max(counts.items(), key=lambda one: (one[1], one[0]))[0]
             how["columns"] = [name for name, size in error.sizes.items() if size == usual]
             others = some_of([f"{name} ({size})" for name, size in error.sizes.items() if size != usual], 30)
             remarks.append(f"of arrays of {usual} samples; there are others: {others} (--channel NAME)")
@@ -150,9 +153,11 @@ def _opened(path: Path, how: Mapping[str, Any]) -> Experiments:
             raise error from None  # which names the row of the file
 
 
+@np.errstate(all="ignore")  # of huge and tiny numbers
 def _described(experiments: Experiments, name: str, reading: Reading) -> RecordInfo:
     experiments, copies = _without_copies(experiments)
-    records = experiments.records
+    records, impossible = without_impossible(experiments.records, experiments.records[0].names)
+    experiments = replace(experiments, records=tuple(records))
     channels = describe_channels(records)
     moving = [key for key, channel in channels.items() if not channel.constant]
     clues = clues_of({key: one.unit for key, one in channels.items()})
@@ -211,7 +216,8 @@ def _described(experiments: Experiments, name: str, reading: Reading) -> RecordI
         reading=reading,
     )
     parts = (_on_time, _on_experiments, _on_channels, _on_bad_samples)
-    return replace(made, findings=(*(text for part in parts for text in part(made)), *(one.message for one in checks)))
+    said = (text for part in parts for text in part(made))
+    return replace(made, findings=(*said, *impossible, *(one.message for one in checks)))
 
 
 def _levels(channels: Mapping[str, ChannelInfo]) -> set[str]:
@@ -373,7 +379,7 @@ def _on_channels(found: RecordInfo) -> Iterator[str]:
         if not channel.unit and any(file.lower().endswith(".wav") for file in found.reading.files):
             yield f"{name} has no unit: a WAV file holds shares of full scale; give both, as --units {name}=125mm/s"
         if channel.held is not None:
-            yield f"{name} changes in every {channel.held:.2g} rows only: it is sampled slower than the file"
+            yield f"{name} changes in every {in_digits(channel.held)} rows only: it is sampled slower than the file"
 
 
 def _listed(rows: Sequence[int]) -> str:

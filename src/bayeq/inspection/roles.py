@@ -51,16 +51,19 @@ SYMBOLS: Mapping[int, str] = {
 TABLES = (QUANTITIES, SENSORS, SYMBOLS)
 TIERS = tuple({word: order for order, words in table.items() for word in words.split()} for table in TABLES)
 # Words beside them: what the motion is to follow, or its error; commands, which with the unit of a motion are wanted
-# too; what is around; of one motor's inputs the measured force is proposed, else the current, else what commands them;
-# what moves a base, whose acceleration is an input.
+# too; of one motor's inputs the measured force is proposed, else the current, else what commands them. Of places, also
+# at the beginning of longer words: what is around; what moves a base, whose acceleration is an input.
 KINDS = (
     "ref reference soll setpoint target desired demand consigne fuhrungs vorgabe error err fehler abweichung"
     " regelabweichung ecart erreur",
     "command cmd commanded commande befehl stell",
-    "ambient room umgebung ambiante raum outside",
     "force kraft torque drehmoment moment couple effort fuerza forza load last charge",
     "current strom courant",
-    "base ground foundation boden fundament sockel sol support",
+)
+PLACES = (
+    "ambient room umgebung ambiante raum outside",
+    "base ground foundation fondation boden fundament sockel socle sol support shake shaking vibrante rutteltisch"
+    " schwingtisch",
 )
 # Words of this many letters are found at the beginning and the end of longer ones: Motorspannung, Kraftmessdose.
 COMPOUND = 5
@@ -186,7 +189,8 @@ def clue_of(name: str, unit: str) -> Clue:
     )
     by_unit = _order_of_unit(unit)
     order, why = (by_name, "its name") if by_unit is None else (by_unit, f"its unit {unit}")
-    wanted, commands, ambient, measured, current, moved = (bool(set(words.split()) & set(parts)) for words in KINDS)
+    wanted, commands, measured, current = (bool(set(words.split()) & set(parts)) for words in KINDS)
+    ambient, moved = (any(_is_place(part, words.split()) for part in parts) for words in PLACES)
     rank = 2 if wanted or commands else 0 if measured or by_unit == INPUT else 1 if current else 2
     if (wanted and order != INPUT) or (commands and order in (0, 1, 2, STATE) and (by_unit is not None or not unit)):
         order, why = REFERENCE, "its name"
@@ -245,6 +249,11 @@ def _said(part: str, table: Mapping[str, int], tier: int, place: int) -> int | N
     return table[max(within, key=len)] if within else None
 
 
+def _is_place(part: str, places: Sequence[str]) -> bool:
+    """Whether a word is a place, or begins with it: Fundamentbeschleunigung, but no shaker."""
+    return part in places or any(len(w) >= COMPOUND and part.startswith(w) and len(part) > len(w) + 3 for w in places)
+
+
 def names_level(name: str) -> bool:
     """Whether a name says that it is the level of a liquid."""
     return bool(set(LEVELS.split()) & set(_parts(name)))
@@ -275,7 +284,7 @@ def guess_roles(
     for k, name in enumerate(of_order[0]):
         same = [other for other in of_order[0][:k] if alike.get(frozenset((name, other)), 0.0) > SAME]
         if same:
-            reasons[name] = f"moves as {same[0]} does"
+            reasons[name] = f"moves as {same[0]} does; as a coordinate: --chain {same[0]}:: --chain {name}::"
         elif name in rough and not rough.issuperset(n for n in names if clues[n].order == 0):
             reasons[name] = "jumps from row to row as noise does"
     inputs = []
@@ -422,9 +431,11 @@ def _chains(
         n for n in rest if clues[n].order in (0, 2) or (clues[n].order == 1 and not (compared and clues[n].symbol))
     ]
     states = [n for n in rest if clues[n].order == STATE and not found and not motion]
-    # one symbol that others explain may be a position under control as well
+    # beside a motion by its unit or a word a channel without either is a trigger or the like, whatever explains it; one
+    # symbol that others explain may be a position under control as well
     explained = [n for n in rest if n in first and not clues[n].by_unit and clues[n].order != STATE]
-    if len(explained) > 1 or all(clues[name].order is None for name in explained):
+    surer = found or any(not clues[n].symbol and n not in explained for n in motion)
+    if not surer and (len(explained) > 1 or all(clues[name].order is None for name in explained)):
         states += explained
     for name in states:
         share = f": the channels explain {100 * min(first[name], 0.999):.1f} % of its changes" if name in first else ""

@@ -20,7 +20,7 @@ from bayeq.records.repair import GAP, LONG_GAP
 from bayeq.records.validate import SECONDS, in_seconds
 from bayeq.states import Roles
 from bayeq.states.bad_samples import ADVICE, find_bad_samples
-from bayeq.states.kinematic.smoother import LARGEST
+from bayeq.states.derive import LARGEST
 
 Ints = NDArray[np.intp]
 
@@ -80,7 +80,7 @@ def sort_rows(record: Record, time: str | None = None) -> Experiments:
             clock, unit = in_seconds(record[time], record.units.get(time) or time_unit(time), time)
         elif (step := next((name for name in record.names if _is_step(record, name)), None)) is not None:
             clock = np.asarray(np.arange(record.n) * float(np.nanmax(record[step])), dtype=np.float64)
-    restarts = np.zeros(0, dtype=np.intp) if clock is None else np.flatnonzero(np.diff(clock) <= 0.0) + 1
+    restarts = np.zeros(0, dtype=np.intp) if clock is None else np.flatnonzero(np.diff(clock) < 0.0) + 1
     column = _trial_column(record, restarts, clock, {time, counter, step})
     starts = restarts if column is None else np.union1d(restarts, equal_runs(record[column])[0][1:])
     left_out = {name for name in (time, counter, step, column) if name is not None}
@@ -208,8 +208,9 @@ def find_bad(records: Sequence[Record], guess: Guess, names: Sequence[str]) -> t
             stays = (np.flatnonzero(values == clipping.level) + 1).tolist()
             found.setdefault(name, {}).setdefault("clipped", []).extend(stays)
     timed = all(record.time is not None for record in records)
-    # a square of what is larger is infinite
-    names = [name for name in names if all(np.nanmax(np.abs(r[name]), initial=0.0) <= LARGEST for r in records)]
+    # a square of what is larger is infinite, of what is smaller zero
+    sizes = {name: max(float(np.nanmax(np.abs(r[name]), initial=0.0)) for r in records) for name in names}
+    names = [name for name in names if 1 / LARGEST <= sizes[name] <= LARGEST]
     if not names or not timed:
         return found, 0
     looked, first = 0, 0

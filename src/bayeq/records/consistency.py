@@ -62,6 +62,9 @@ STEPS = 4
 # Of delays that fit this share of the best the least is taken: motion of one frequency looks the same after a period.
 AS_GOOD = 0.98
 
+# A force has the sign of the higher of two derivatives if its correlation with it, beside the others, is this.
+PUSHED = 0.7
+
 
 class Frames(NamedTuple):
     """Where the frames of a record are."""
@@ -250,6 +253,16 @@ def _align(phase: Floats, weight: Floats, omega: Floats, dt: float) -> tuple[int
             break
         delay = float(np.clip(delay + np.clip(slope / curvature, -dt / STEPS, dt / STEPS), grid[0], grid[-1]))
     return sign, delay, sign * float(weight @ np.cos(phase + omega * delay))
+
+
+def goes_with(dt: float, orders: tuple[int, int], p: Floats, q: Floats, force: Floats) -> bool:
+    """Whether q, the higher of two derivatives of these orders, clearly goes with a force beside spring and damper."""
+    x, v = (p, np.gradient(p, dt)) if orders[0] == 0 else (np.cumsum(p - p.mean()), p)
+    a = q if orders[1] == 2 else np.gradient(q, dt)
+    x, v, force, a = ((one - one.mean()) / (np.std(one) or 1.0) for one in (x, v, force, a))
+    beside = np.stack([x, v, x**3], axis=1)
+    force, a = (one - beside @ np.linalg.lstsq(beside, one, rcond=None)[0] for one in (force, a))
+    return float(force @ a) > PUSHED * float(np.linalg.norm(force) * np.linalg.norm(a))
 
 
 def shift_of(p: Floats, q: Floats, order: int, frames: Frames, gain: float, gain_error: float = 0.0) -> Shift:

@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.arrays import Bools, Floats
+from bayeq.errors import in_digits
 from bayeq.numerics.distributions import t_quantile
 from bayeq.numerics.settings import RECORDS
-from bayeq.records.consistency import Frames, Relation, derivative_name, relate, shift_of, uniform_frames
-from bayeq.records.names import derivative_ratio
+from bayeq.records.consistency import Frames, Relation, derivative_name, goes_with, relate, shift_of, uniform_frames
+from bayeq.records.names import derivative_ratio, in_si, parse_unit
 from bayeq.records.record import Record
 from bayeq.records.repair import counts_rows
 
@@ -135,7 +136,8 @@ def check_record(
     for chain in split:
         if len(chain) == 3 and chain[:2] == [None, None] and chain[2] is not None and whole[chain[2]]:
             found += _moved_off(record, chain[2])
-        found += _kinematics(record, [name if name and whole[name] else None for name in chain])
+        usable = [name if name and whole[name] else None for name in chain]
+        found += _kinematics(record, usable, [name for name in inputs if whole[name]])
     for name in dict.fromkeys((*names, *inputs)):
         if whole[name] and record.n >= LEAST_ROWS_TO_CHECK:
             clipped = _clipped(name, record[name], shut=name in inputs)
@@ -171,7 +173,7 @@ def check_messages(
             if (finding.kind == "dropped" and record.n < n) or (shifted and drifting):
                 continue
             if shifted and several and record.fs is not None:  # one number would not do for all
-                band = f"{record.fs / record.n:.1g}:{0.5 * record.fs:.3g}"
+                band = f"{record.fs / record.n:.1g}:{in_digits(0.5 * record.fs, 3)}"
                 message = f"{message.split(': use')[0]}: --band {band} learns what each record has"
             found.setdefault((finding.kind, finding.channels), []).append(where + message)
     return [
@@ -197,7 +199,7 @@ def without_copies(records: Sequence[Record], names: Sequence[str]) -> tuple[lis
 # --- channels against each other -------------------------------------------------------------------------------------
 
 
-def _kinematics(record: Record, chain: Sequence[str | None]) -> list[Finding]:
+def _kinematics(record: Record, chain: Sequence[str | None], inputs: Sequence[str]) -> list[Finding]:
     """Offsets, delays, signs and gains within a chain."""
     measured = [(order, name) for order, name in enumerate(chain) if name is not None]
     frames = uniform_frames(record.time) if len(measured) > 1 else None
@@ -221,7 +223,7 @@ def _kinematics(record: Record, chain: Sequence[str | None]) -> list[Finding]:
             )
             return [*found, Finding("inconsistent", (q, p), message, link.fit)]
         links.append(link)
-    found += _signs(measured, links)
+    found += _signs(record, measured, links, frames.dt, inputs)
     found += _gains(record, measured, links)
     found += _delays(measured, links, frames.dt)
     for ((low, p), (high, q)), link in zip(pairwise(measured), links, strict=True):
@@ -240,9 +242,8 @@ def _exchanged(record: Record, p: str, q: str, order: int, link: Relation, frame
         return
     if back.least_gain * link.most_gain < link.least_gain * back.most_gain:  # the gain is less the same
         return
-    message = (
-        f"{p} is {back.gain:.3g} times the {'second ' * (order == 2)}derivative of {q}: are the columns exchanged?"
-    )
+    what = f"the {'second ' * (order == 2)}derivative of {q}"
+    message = f"{p} is {in_digits(back.gain, 3)} times {what}: are the columns exchanged?"
     yield Finding("exchanged", (p, q), message, back.gain)
 
 
@@ -257,18 +258,22 @@ class _Odd(NamedTuple):
 
 
 def _odd_ones(
-    measured: Sequence[tuple[int, str]], steps: Sequence[float], errors: Sequence[float], least: float
+    measured: Sequence[tuple[int, str]],
+    steps: Sequence[float],
+    errors: Sequence[float],
+    least: float,
+    highest: bool = False,
 ) -> list[_Odd]:
     """Channels that differ from most of a chain.
 
     `steps` are the differences from each channel to the next, `errors` what of them may be chance; differences up to
-    `least` do not matter. Without a majority the lowest derivative is believed.
+    `least` do not matter. Without a majority the lowest derivative is believed, or the highest.
     """
     level = np.concatenate([[0.0], np.cumsum(steps)])
     doubt = np.concatenate([[0.0], np.cumsum(errors)])
     tolerance = np.maximum(least, np.abs(doubt[:, None] - doubt))
     agree = np.abs(level[:, None] - level) <= tolerance
-    other = int(np.argmax(agree.sum(axis=1)))
+    other = int(np.argmax(agree.sum(axis=1) + 0.1 * highest * np.arange(len(level))))
     reference, name = measured[other]
     found = []
     for k in np.flatnonzero(~agree[other]).tolist():
@@ -279,9 +284,17 @@ def _odd_ones(
     return found
 
 
-def _signs(measured: Sequence[tuple[int, str]], links: Sequence[Relation]) -> Iterator[Finding]:
+def _signs(
+    record: Record, measured: Sequence[tuple[int, str]], links: Sequence[Relation], dt: float, inputs: Sequence[str]
+) -> Iterator[Finding]:
     signs = np.cumprod([1, *(link.sign for link in links)])
-    for odd in _odd_ones(measured, np.diff(signs).tolist(), [0.0] * len(links), 0.0):
+    si = [in_si(parse_unit(record.units.get(name, ""))) for name in inputs]
+    by_force = len(inputs) == 1 and not (si[0] and {"m", "s"} <= set(si[0][1]))  # what a base does is no force
+    highest = len(links) == 1 and links[0].sign < 0 and by_force
+    if highest:
+        (low, p), (high, q) = measured
+        highest = goes_with(dt, (low, high), record[p], record[q], record[inputs[0]])
+    for odd in _odd_ones(measured, np.diff(signs).tolist(), [0.0] * len(links), 0.0, highest):
         name = odd.channels[0]
         message = f"{name} has the opposite sign of {odd.against}: reverse it (--scale {name}=-1)"
         yield Finding("sign", odd.channels, message, -1.0)
@@ -333,8 +346,9 @@ def _delays(measured: Sequence[tuple[int, str]], links: Sequence[Relation], dt: 
     steps, errors = [link.delay for link in links], [RECORDS.significant * link.delay_error for link in links]
     for odd in _odd_ones(measured, steps, errors, RECORDS.least_delay * dt):
         name, delay = odd.channels[0], odd.difference
+        rows = f"{in_digits(abs(delay) / dt)} rows"
         message = (
-            f"{name} {'lags behind' if delay > 0 else 'is ahead of'} {odd.against} by {abs(delay) / dt:.2g} rows:"
+            f"{name} {'lags behind' if delay > 0 else 'is ahead of'} {odd.against} by {rows}:"
             f" use --lag-sd, or bayeq.correct_delay(record, {name!r}, {delay:.3g})"
         )
         yield Finding("delay", odd.channels, message, delay)
@@ -353,14 +367,12 @@ def _shifts(record: Record, p: str, q: str, order: int, link: Relation, frames: 
     what = derivative_name(p, order)
     significant = t_quantile(shift.freedom, RECORDS.significant)
     if abs(shift.offset_t) > significant and abs(shift.offset) > RECORDS.least_offset * spread:
-        size = 100.0 * abs(shift.offset) / spread
-        message = (
-            f"{q} is off {what} by {shift.offset:.3g}{unit} ({size:.2g} %): use --remove-offset {q}={shift.offset:.4g}"
-        )
+        much = f"{in_digits(shift.offset, 3)}{unit} ({in_digits(100.0 * abs(shift.offset) / spread)} %)"
+        message = f"{q} is off {what} by {much}: use --remove-offset {q}={shift.offset:.4g}"
         yield Finding("offset", (q, p), message, shift.offset)
     if abs(shift.drift_t) > significant and abs(shift.drift) * span > 2.0 * RECORDS.least_offset * spread:
         message = (
-            f"{q} drifts by {shift.drift * span:.3g}{unit}:"
+            f"{q} drifts by {in_digits(shift.drift * span, 3)}{unit}:"
             f" use bayeq.remove_offset(record, {q!r}, {shift.offset:.3g}, drift={shift.drift:.3g})"
         )
         yield Finding("drift", (q, p), message, shift.drift)
@@ -374,7 +386,8 @@ def _moved_off(record: Record, name: str) -> Iterator[Finding]:
     swing = float(np.ptp(np.cumsum(values - mean))) * step
     if not abs(mean) * record.n * step > MOVED_OFF * swing:
         return
-    message = f"{name} has a mean of {mean:.3g}: unless it moves away with it, take it out (--remove-offset {name})"
+    off = f"{name} has a mean of {in_digits(mean, 3)}"
+    message = f"{off}: unless it moves away with it, take it out (--remove-offset {name})"
     yield Finding("offset", (name,), message, mean)
 
 
@@ -411,7 +424,7 @@ def _clock(record: Record, name: str) -> Iterator[Finding]:
     rows = 2.0 * math.pi * spread / steps if steps > 0.0 else math.inf
     if not rows < MOST_ROWS_A_PERIOD:
         return
-    period = f"{rows * step:.2g} s"
+    period = f"{in_digits(rows * step)} s"
     message = f"{name} has about {period} a period: if time is in ms, write it into its header, or --units COLUMN=ms"
     yield Finding("clock", (name,), message, step)
 
@@ -548,6 +561,6 @@ def _interpolated(record: Record, name: str) -> Iterator[Finding]:
     if float(np.abs(places - first - every * numbers).max()) > 1.0:
         return
     rate = "" if record.fs is None else f" from {record.fs / every:.4g} Hz"
-    what = f"{name} is straight over every {every:.3g} samples"
+    what = f"{name} is straight over every {in_digits(every, 3)} samples"
     message = f"{what}: it was interpolated{rate}; give the samples as measured"
     yield Finding("interpolated", (name,), message, float(every))

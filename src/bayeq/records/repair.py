@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from bayeq.arrays import Bools, Floats, Ints
-from bayeq.errors import InputError, RecordError, require_kind
+from bayeq.errors import InputError, RecordError, in_digits, require_kind
 from bayeq.numerics.settings import RECORDS
 from bayeq.records.record import Record, with_samples
 
@@ -94,7 +94,7 @@ def _ends(record: Record, channels: Sequence[str]) -> tuple[list[int], str]:
         return [], ""
     name, half = min(half_periods.items(), key=lambda item: item[1])
     ends = np.flatnonzero(steps > max(half, GAP * step)) + 1
-    return ends.tolist(), f"half a period of {name} ({half:.3g} s)"
+    return ends.tolist(), f"half a period of {name} ({in_digits(half, 3)} s)"
 
 
 def _shortest_period(times: Sequence[Floats], stretches: Sequence[Floats], step: float) -> float:
@@ -370,8 +370,8 @@ def _check_rates(first: Record, other: Record) -> None:
         share = _share_above(other, name, 0.5 / slow)
         if share > ALIASED:
             raise RecordError(
-                f"{_label(other)}: {100 * share:.2g} % of the variance of {name!r} is above {0.5 / slow:g} Hz, half the"
-                f" rate of {_label(first)}, and would alias; low-pass it first"
+                f"{_label(other)}: {in_digits(100 * share)} % of the variance of {name!r} is above {0.5 / slow:g} Hz,"
+                f" half the rate of {_label(first)}, and would alias; low-pass it first"
             )
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.arrays import Bools, Floats
-from bayeq.errors import InputError
+from bayeq.errors import InputError, in_digits
 from bayeq.numerics.settings import STATES
 from bayeq.records import Record
 from bayeq.records.findings import clipped_levels, equal_runs
@@ -143,7 +143,7 @@ def without_bad_samples(
 def _message(name: str, kind: str, rows: Bools) -> str:
     count = int(rows.sum())
     samples = f"{count} sample{'s' * (count > 1)} left out as {kind[:-1] if kind == 'spikes' and count == 1 else kind}"
-    return f"{name}: {samples} ({listed(rows)}: {100 * count / len(rows):.2g} %); {ADVICE[kind]}"
+    return f"{name}: {samples} ({listed(rows)}: {in_digits(100 * count / len(rows))} %); {ADVICE[kind]}"
 
 
 # Rows are listed in this many characters.

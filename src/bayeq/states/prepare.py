@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from bayeq.arrays import Bools, Floats, Ints
-from bayeq.errors import InputError, RecordError
+from bayeq.errors import InputError, RecordError, in_digits
 from bayeq.expressions.parse import EARLIER
 from bayeq.numerics.settings import RECORDS, STATES
 from bayeq.records import SAMPLES, Record, correct_delay, split_at_gaps
@@ -55,7 +55,7 @@ def cleaned(
     if smooth == "none":
         return list(records), []
     missing = missing_messages(records, roles)
-    records, impossible = _without_impossible(records, roles)
+    records, impossible = without_impossible(records, roles.channels)
     for record in records:
         require_usable(bridged_record(record, roles), roles.channels)
     if roles.discrete:  # whose samples may be anywhere from one to the next
@@ -64,13 +64,13 @@ def cleaned(
     return found, [*missing, *impossible, *bad]
 
 
-def _without_impossible(records: Sequence[Record], roles: Roles) -> tuple[list[Record], list[str]]:
+def without_impossible(records: Sequence[Record], names: Sequence[str]) -> tuple[list[Record], list[str]]:
     """Records with NaN in place of infinite samples and those too large to square, unless most are; what to say."""
     out, messages = [], []
     for record in records:
         where = f"{record.name or 'record'}: " if len(records) > 1 else ""
         changed = {}
-        for name in roles.channels:
+        for name in names:
             values = record[name]
             bad = np.abs(values) > LARGEST  # not so of NaN
             if 0 < bad.sum() < 0.5 * np.isfinite(values).sum():
@@ -99,7 +99,7 @@ def missing_messages(records: Sequence[Record], roles: Roles) -> list[str]:
         for name in roles.channels:
             rows = np.isnan(record[name])
             if rows.any():
-                what = f"missing ({listed(rows)}: {100 * rows.sum() / record.n:.2g} %)"
+                what = f"missing ({listed(rows)}: {in_digits(100 * rows.sum() / record.n)} %)"
                 out.append(f"{where}{name}: {_samples_are(rows)} {what}; check the acquisition")
     return out
 

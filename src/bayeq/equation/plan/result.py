@@ -14,6 +14,7 @@ import numpy as np
 from bayeq.arrays import Floats
 from bayeq.equation.plan.designs import EXCITATIONS, Design
 from bayeq.equation.written import finite
+from bayeq.errors import in_digits
 from bayeq.figures.style import BLACK, BLUE, FULL_WIDTH, ORANGE, RED, log_ticks, new_figure, picture
 from bayeq.markup import printed, text_console
 from bayeq.records.io import replacing
@@ -262,8 +263,8 @@ def duration(seconds: float) -> str:
         return "never"
     for unit, size in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
         if seconds >= 2.0 * size:
-            return f"{seconds / size:.2g} {unit}" if seconds < 100.0 * size else f"{seconds / size:.0f} {unit}"
-    return f"{seconds:.2g} s" if seconds < 99.5 else f"{seconds:.0f} s"
+            return f"{in_digits(seconds / size)} {unit}"
+    return f"{in_digits(seconds)} s"
 
 
 def advice(plan: Plan) -> str:
@@ -272,9 +273,9 @@ def advice(plan: Plan) -> str:
     low, high = best.design.band
     what = (
         f"excite {', '.join(best.amplitudes)} with {EXCITATIONS[best.design.kind].title}, {amplitudes(plan, best)},"
-        f" from {low:.3g} to {high:.3g} Hz"
+        f" from {in_digits(low, 3)} to {in_digits(high, 3)} Hz"
     )
-    length = f"{plan.conditions['seconds']:.3g} s of it"
+    length = f"{in_digits(plan.conditions['seconds'], 3)} s of it"
     nats = best.rate * plan.conditions["seconds"]
     if plan.purpose == "models":
         rival = plan.closest(best)
@@ -291,9 +292,9 @@ def advice(plan: Plan) -> str:
         where = f"{rival.target}: " if len(plan.leading) > 1 else ""
         leading = next(model for model in plan.leading if model.target == rival.target)
         told = f"{where}{leading.name} from the closest rival ({rival.name})"
-        return f"{what}: {length} separates {told} by {nats:.3g} nats; {until}"
+        return f"{what}: {length} separates {told} by {in_digits(nats, 3)} nats; {until}"
     return (
-        f"{what}: {length} brings {nats:.3g} nats about the coefficients, whose"
+        f"{what}: {length} brings {in_digits(nats, 3)} nats about the coefficients, whose"
         f" standard deviations are expected to be halved after {duration(best.seconds)}"
     )
 
@@ -329,7 +330,7 @@ def render(plan: Plan) -> str:
         low, high = one.design.band
         row = [
             one.design.kind,
-            f"{low:.3g} .. {high:.3g}",
+            f"{in_digits(low, 3)} .. {in_digits(high, 3)}",
             amplitudes(plan, one) + (" (limit)" if one.limited else ""),
             f"{one.rate:.3g}",
             f"{one.sd:.2g}",
@@ -432,7 +433,7 @@ def _rates(ax: Axes, shown: Sequence[Outcome], units: Mapping[str, str], purpose
     for row, one in enumerate(shown):
         pairs, (low, high) = one.amplitudes.items(), one.design.band
         sizes = ", ".join(f"\N{PLUS-MINUS SIGN}{value:.3g} {units.get(name, '')}".rstrip() for name, value in pairs)
-        labels.append(f"{one.design.kind}, {low:.3g} to {high:.3g} Hz, {sizes}")
+        labels.append(f"{one.design.kind}, {in_digits(low, 3)} to {in_digits(high, 3)} Hz, {sizes}")
         colour, marker = LOOKS[kinds.index(one.design.kind) % len(LOOKS)]
         ax.plot([max(one.rate - one.sd, least), one.rate + one.sd], [row, row], color=colour, linewidth=1.0)
         ax.plot([max(one.rate, least)], [row], color=colour, marker=marker, markersize=3.6)

@@ -11,7 +11,7 @@ import numpy as np
 
 from bayeq.arrays import Bools, Floats
 from bayeq.equation.refine.output_error import Known, OutputError, Unrefined, output_error
-from bayeq.errors import BayeqWarning, ConvergenceWarning, DataWarning, RecordError, some_of
+from bayeq.errors import BayeqWarning, ConvergenceWarning, DataWarning, RecordError, in_digits, some_of
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import apart, typical_period, window_runs
 from bayeq.forecast.rows import Courses, Rows, divided, predicted_target, require_time, rows_of
@@ -164,7 +164,7 @@ def refine(
 def _doubts(found: OutputError, bound: Sequence[str], scores: tuple[Scores, Scores] | None) -> Iterator[Doubt]:
     """What the fit says against itself, and scores on the rows held out against those before."""
     if found.excess > 1.0:
-        times = f"variances of coefficients are {found.excess:.2g} times those of white noise"
+        times = f"variances of coefficients are {in_digits(found.excess)} times those of white noise"
         yield f"what free runs leave is correlated in time: {times}; add terms", DataWarning
     if scores is not None:
         before, after = scores
@@ -181,7 +181,7 @@ def _doubts(found: OutputError, bound: Sequence[str], scores: tuple[Scores, Scor
         of = f"{'bound' if any(' = ' in one for one in bound) else 'known sign'} of {some_of(bound, 20)}"
         yield f"free runs contradict the {of} (odds above 100): check directions, or drop it", DataWarning
     for name, ratio in found.misfit.items():
-        times = f"{ratio:.2g} times the noise that was given"
+        times = f"{in_digits(ratio)} times the noise that was given"
         yield f"{name}: free runs leave {times}: theirs is taken; check it, or add terms", DataWarning
 
 

@@ -134,6 +134,8 @@ MARKERS = {"o": "circle", ".": "circle", "s": "square", "D": "diamond", "+": "cr
 
 # Pixels of a millimetre of a figure, and what the axes' labels and the legend take [pixels].
 SCALE, AROUND = 4.0, 80
+# Characters of a legend that a telephone has room for in a row; pixels of a square of a matrix.
+LEGEND, SQUARE = 38, 30
 POINT = 96.0 / 72.0
 
 
@@ -193,7 +195,8 @@ def _plot(ax: Any, x_range: Any) -> Any:
     labels = [(without_maths(label), [glyph]) for label, glyph, _ in shown if label and not label.startswith("_")]
     if labels and ax.get_legend() is not None:
         legend = Legend(items=labels, orientation="horizontal", border_line_color=None, padding=2, margin=0, spacing=8)
-        legend.label_text_font_size, legend.glyph_width, legend.ncols = "12px", 18, "auto"
+        legend.label_text_font_size, legend.glyph_width = "12px", 18
+        legend.ncols = len(labels) if sum(len(label) for label, _ in labels) <= LEGEND else 2
         legend.click_policy = "hide"
         plot.add_layout(legend, "above")
     return plot
@@ -283,7 +286,9 @@ def _bars(plot: Any, ax: Any) -> Shown:
 
 
 def _images(plot: Any, ax: Any) -> Shown:
-    """Squares of a matrix, with the numbers that are written on them."""
+    """Squares of a matrix, with the numbers that are written on them, and a bar of their colours."""
+    from bokeh.models import ColorBar, LinearColorMapper
+
     names = plot.yaxis[0].major_label_overrides
     for image in ax.images:
         values = np.asarray(image.get_array())
@@ -302,6 +307,10 @@ def _images(plot: Any, ax: Any) -> Shown:
         look: dict[str, Any] = {"text_align": "center", "text_baseline": "middle", "text_font_size": "11px"}
         numbers = dict(zip(("x", "y", "text", "colour"), map(list, zip(*written, strict=True)), strict=True))
         plot.text("x", "y", "text", source=numbers, text_color="colour", **look)
+        plot.height, plot.frame_height = None, SQUARE * len(values)  # whatever long names take below
+        colours = [_hex(image.cmap(level)) for level in range(image.cmap.N)]
+        mapper = LinearColorMapper(palette=colours, low=image.norm.vmin, high=image.norm.vmax)
+        plot.add_layout(ColorBar(color_mapper=mapper, width=10), "right")
 
 
 HERE = Path(__file__).parent
@@ -459,7 +468,7 @@ def _data(eq: Answer) -> dict[str, str]:
         "chains": ", ".join(str(chain) for chain in eq.chains),
         "inputs": ", ".join(eq.inputs),
         "dictionary": eq.dictionary,
-        "method": ENGINES[eq.method].title,
+        "method": f"{eq.method} (bayeq discover -h)",
         "smoothing": eq.smooth,
         "band": "" if source.band is None else f"{source.band[0]:g} to {source.band[1]:g} Hz",
         "estimated": ", ".join(source.estimated),

@@ -140,6 +140,7 @@ def bounds(fit: RegressionFit) -> Floats | None:
     return whole
 
 
+@np.errstate(all="ignore")  # exp(x) at twice a large x is infinite, and changes predictions
 def undetermined(fit: RegressionFit, found: Posterior, bound: Floats | None) -> tuple[str, ...]:
     """Terms that, at their bound, could change predictions by more than a tolerance; the simplest first.
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from bayeq.errors import FileFormatError, LengthsError, UnknownNameError
+from bayeq.errors import FileFormatError, LengthsError, UnknownNameError, some_of
 from bayeq.records.columns import RATE_NAMES, STEP_NAMES, Columns, Headers, Names, Request
 from bayeq.records.names import clean_name, is_time_name
 from bayeq.records.validate import SECONDS
@@ -23,8 +23,8 @@ from bayeq.records.validate import SECONDS
 MOST_ROWS = 1000
 MOST_ARRAYS = 100_000
 DEEPEST = 64
-#: Without names, arrays shorter than this share of the longest are settings, not channels.
-SETTINGS = 0.1
+#: Without names, arrays up to this share of the longest are no channels; of so few numbers they are settings.
+SHORT, SETTINGS = 0.1, 16
 
 #: All rows.
 EVERY = slice(None)
@@ -154,11 +154,15 @@ def _columns(channels: list[Channel], where: str, request: Request, names: Names
     pairs = zip(channels, headers.units, strict=True)
     units = [unit if channel.unit is None else channel.unit or None for channel, unit in pairs]
     headers = Headers([channel.path for channel in channels], headers.names, units, where)
+    doubts: tuple[str, ...] = ()
     if names is not None:
-        rows = _main(channels, headers, Request(fs=request.fs))
+        rows, _ = _main(channels, headers, Request(fs=request.fs))
         channels = [channels[i] for i in rows]
         headers = headers.at(rows).renamed(names)
-    rows = _main(channels, headers, request) if request.names is None else _asked(channels, headers, request)
+    if request.names is None:
+        rows, doubts = _main(channels, headers, request)
+    else:
+        rows = _asked(channels, headers, request)
     chosen = [channels[i] for i in rows]
     if len({channel.size for channel in chosen}) > 1:
         shown = ", ".join(f"{c.path} ({c.size})" for c in chosen[:12])
@@ -178,7 +182,7 @@ def _columns(channels: list[Channel], where: str, request: Request, names: Names
             raise FileFormatError(f"{where}: {channels[i].path} holds objects, not numbers; they are refused")
     data = Columns.build(headers, values.__getitem__, lambda _: rows)
     step = steps.pop() if len(steps) == 1 and time is None and request.time is None else None
-    return Columns(data.headers, data.values, (), time, step, chosen[0].start)
+    return Columns(data.headers, data.values, doubts, time, step, chosen[0].start)
 
 
 def _find(headers: Headers, key: str) -> int:
@@ -210,8 +214,8 @@ def _shared(path: str, other: str) -> int:
     return next((k for k, (a, b) in enumerate(zip(path, other, strict=False)) if a != b), min(len(path), len(other)))
 
 
-def _main(channels: Sequence[Channel], headers: Headers, request: Request) -> list[int]:
-    """The channels that are read without names: as long as time, or else as the longest of them."""
+def _main(channels: Sequence[Channel], headers: Headers, request: Request) -> tuple[list[int], tuple[str, ...]]:
+    """The channels that are read without names, as long as time, or else as the longest of them; others in words."""
     pool = [i for i, channel in enumerate(channels) if channel.main]
     if not pool:
         paths = ", ".join(channel.path for channel in channels[:12])
@@ -220,11 +224,14 @@ def _main(channels: Sequence[Channel], headers: Headers, request: Request) -> li
     if request.time is not None:
         length = channels[_find(headers, request.time)].size
     rows = [i for i in pool if channels[i].size == length]
-    others = [i for i in pool if channels[i].size != length and channels[i].size > SETTINGS * length]
-    if others and request.time is None:
+    least = min(SHORT * length, SETTINGS)
+    others = [i for i in pool if channels[i].size != length and channels[i].size > least]
+    if request.time is None and any(channels[i].size > SHORT * length for i in others):
         several = [channels[i] for i in (*rows, *others)]
         shown = ", ".join(f"{c.path} ({c.size})" for c in several[:12]) + (", ..." if len(several) > 12 else "")
         error = LengthsError(f"{headers.where}: arrays of several lengths: {shown}; name the channels to read")
         error.sizes = {headers.names[i]: channels[i].size for i in (*rows, *others)}
         raise error
-    return rows
+    shown = some_of([f"{channels[i].path} ({channels[i].size})" for i in others], 30)
+    doubt = f"{headers.where}: of arrays of {length} samples; there are others: {shown} (--channel NAME, columns=)"
+    return rows, (doubt,) if others else ()
