@@ -54,6 +54,9 @@ from bayeq.states.sensors import of_no_unit
 # a bound if the coefficient would be further beyond without it, in its own ones.
 CONTRADICTED = 3.0
 
+# Of a smaller share of the precision of a coefficient that is stated rounding leaves nothing of what the record adds.
+TOLD = 1e-8
+
 # Independent numbers whose variance is known to a third.
 LEAST_NUMBERS = 18.0
 
@@ -290,7 +293,9 @@ def _against_stated(equation: Equation, selection: Selection) -> Iterator[tuple[
     known = posterior if posterior.projected is None else posterior.projected
     for j, mean, sd in selection.fit.constraints.stated:
         stated, precision = sd**-2.0, known.sd[j] ** -2.0
-        alone = max(precision - stated, 1e-8 * precision)
+        alone = precision - stated
+        if not alone > TOLD * precision:  # as of the scale of a hidden state
+            continue
         value = (known.coef[j] * precision - mean * stated) / alone
         if abs(value - mean) > CONTRADICTED * math.hypot(sd, alone**-0.5):
             yield f"{posterior.names[j]} ~ {mean:.4g} +- {sd:.3g}", float(value)
