@@ -1,8 +1,11 @@
 """Benchmarks that others have set: facts, records, scores, and going on after a stop."""
 
+import csv
 import json
+import re
 import sqlite3
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -131,6 +134,21 @@ def test_laws_with_constants_are_those_of_the_sources(number):
         middle = [0.5 * (one.low + one.high) for one in values.values()]
         fitted = least_squares(left, middle, x_scale=np.abs(middle) + 1.0).x if middle else []
         assert np.abs(left(fitted)).max() < 1e-6 * np.abs(target).max()
+
+
+def test_the_page_has_the_numbers_of_the_table():
+    root = Path(__file__).parents[1]
+    rows = list(csv.DictReader((root / "docs" / "tables" / "odebench.csv").read_text().splitlines()[1:]))
+    columns = ("reconstructed_percent", "other_start_percent", "exact_percent", "found_and_wrong")
+    moving = {
+        (one["noise"], one["method"]): [one[name] for name in columns] for one in rows if one["comes_to_rest"] == "no"
+    }
+    page = (root / "docs" / "benchmarks.md").read_text().partition("## ODEBench")[2]
+    printed = [line.strip("| ").split(" | ") for line in page.splitlines() if re.match(r"\| [^|]+ \| \d", line)]
+    order = ["none 0", "added 1", "added 5", "multiplied 1", None, "multiplied 5", None]
+    for k, ((_, *numbers), noise) in enumerate(zip(printed, order, strict=True)):
+        key = (noise, "bayeq") if noise else (order[k - 1], "proportional")
+        assert numbers == moving[key]
 
 
 def _square(cell, seed):
