@@ -275,9 +275,12 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
 
 
 def _late(equation: Equation, motion: Motion) -> Suspect | None:
-    """The channel that most of what is left follows some rows earlier or later."""
+    """The channel, of several, that most of what is left follows some rows earlier or later."""
     driver, time = equation.residuals.driver, motion.train[0].time
-    if driver is None or not driver.lag or not driver.correlation**2 > 0.5 or time is None or equation.chain.discrete:
+    channels = {*motion.roles.measured, *motion.roles.inputs}
+    if driver is None or driver.name not in channels or len(channels) < 2 or time is None or motion.roles.discrete:
+        return None
+    if not driver.lag or driver.correlation**2 <= 0.5:
         return None
     return Suspect(driver.name, "lag", -driver.lag * float(np.median(np.diff(time))))
 
