@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 
@@ -246,9 +246,10 @@ class Question:
         starts = [build_design(with_values_of(design.terms, one), one, allowed=design.allowed) for one in others]
         beside = [one for one in starts if one.names == design.names]
         fitted = partial(self._likelihood, design, conserved=self.conserved or None, others=beside)
-        equal = [text for text in known if "==" in text]
+        equal = tuple(text for text in known if "==" in text)
 
-        def given(applied: Sequence[str]) -> tuple[RecordFit | None, tuple[str, ...], tuple[Constraints, ...]]:
+        @cache
+        def given(applied: tuple[str, ...]) -> tuple[RecordFit | None, tuple[str, ...], tuple[Constraints, ...]]:
             some = tuple(text for text in known if text in applied or text not in equal)
             constrained = _constrained(some, design, self.method)
             ties = parse_ties(some, design.terms, design.motion.roles.targets, dropped, design.allowed)
@@ -272,13 +273,12 @@ class Question:
         odds = lost(held[0])
         if free[0] is None or odds < CONTRADICTED:
             return held
-        kept = [text for text in equal if len(equal) > 1 and lost(given([text])[0]) < CONTRADICTED]
-        held = given(kept)
-        if lost(held[0]) >= CONTRADICTED:
-            kept, held = [], free
+        kept = tuple(text for text in equal if lost(given((text,))[0]) < CONTRADICTED)
+        if lost(given(kept)[0]) >= CONTRADICTED:
+            kept = ()
         wrong = some_of([text for text in equal if text not in kept], 40, "; ")
         log.warn(f"the record contradicts {wrong} (odds {odds_text(-odds)}): shown without; check factors", DataWarning)
-        return held
+        return given(kept)
 
     def _by_record(self, records: Sequence[Record]) -> tuple[Question, list[Record]]:
         """The question with a candidate difference of each coefficient that may differ, and numbered records."""

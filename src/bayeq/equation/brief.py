@@ -26,6 +26,7 @@ from bayeq.figures.terms import draw_terms
 from bayeq.forecast.score import percent, percentages
 from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
 from bayeq.markup import aligned, code, items, join, paragraph, table
+from bayeq.regression.design import COPY
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -270,7 +271,7 @@ def copies(eq: Answer) -> Iterator[str]:
     """Terms of the equations that others may stand for: the same on the record, and not elsewhere."""
     shown = {name for one in eq.equations for name in one.shown}
     for left in eq.dropped:
-        own = next((name for name in shown if left.reason == f"a copy of {name} on the data"), None)
+        own = next((name for name in shown if left.reason == COPY.format(name)), None)
         if own is None:
             continue
         terms = [parse(left.name), parse(own)]

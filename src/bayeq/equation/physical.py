@@ -341,10 +341,9 @@ def system_parameters(
                 linear[:, i] += drawn[:, None] * tangent * per_state * scale.per_length / scale.acceleration
             if slope is not None:
                 continue
-            if term.text in inputs and _is_motion(units.get(term.text, "")):
-                continue
             if term.text in inputs:
-                driven.setdefault(term.text, {})[i] = drawn * scale.scale_force()
+                if not _is_motion(units.get(term.text, "")):
+                    driven.setdefault(term.text, {})[i] = drawn * scale.scale_force()
             elif term.text not in unexplained:
                 unexplained.append(term.text)
     mixed = [name for name in unexplained if _is_mixed(parse(name), states, others)]

@@ -155,7 +155,7 @@ def _elsewhere(motion: Motion, task: Task, fitted: Fitted, family: Sequence[int]
     here, *others = _on_gram(task, fitted, family, [now, *tried])
     least = BETTER + (here.score if here.score < here.fitted + MISLEADS else here.fitted)
     # where the model lacks the terms, derivatives by their constants stand for them, and cost nothing
-    present = [one.model.reshape(task.layout.chains, -1)[:, list(family)].any() for one in others]
+    present = [_holds(task, one.model, family) for one in others]
     tried, others = list(itertools.compress(tried, present)), list(itertools.compress(others, present))
     peaks = [one for one in _peaks(tried, others) if one.score >= least]
     for node in sorted(peaks, key=lambda one: -one.score)[:PEAKS]:
@@ -164,10 +164,14 @@ def _elsewhere(motion: Motion, task: Task, fitted: Fitted, family: Sequence[int]
         except np.linalg.LinAlgError:
             continue
         # of a model without these terms their values say nothing: those of its neighbours stay
-        used = other[1].model.reshape(task.layout.chains, -1)[:, list(family)].any()
-        if other[1].evidence > fitted.evidence + (0.0 if used else BETTER):
+        if other[1].evidence > fitted.evidence + (0.0 if _holds(task, other[1].model, family) else BETTER):
             return other
     return task, fitted
+
+
+def _holds(task: Task, model: Bools, family: Sequence[int]) -> bool:
+    """Whether a model has a term of a family in any equation."""
+    return bool(model.reshape(task.layout.chains, -1)[:, list(family)].any())
 
 
 def _peaks(tried: Sequence[Mapping[str, float]], nodes: Sequence[_Node]) -> list[_Node]:

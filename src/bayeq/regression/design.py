@@ -59,6 +59,10 @@ NEARLY_NOTHING = 1e-8
 ROUNDS = 20
 
 
+# Why a term is left out that another one is the same as.
+COPY = "a copy of {} on the data"
+
+
 @dataclass(frozen=True, slots=True)
 class DroppedTerm:
     """A candidate that was left out, and why."""
@@ -220,7 +224,7 @@ def _reasons(gram: Gram, bad: NDArray[np.int64], rows: int, allowed: Bools) -> d
     rows_of, columns_of = np.nonzero(np.triu(np.abs(scaled) >= COPY_CORRELATION, k=1))
     for a, b in zip(usable[rows_of], usable[columns_of], strict=True):
         if int(a) not in out and (allowed[:, a] >= allowed[:, b]).all():
-            out.setdefault(int(b), f"a copy of {gram.names[a]} on the data")
+            out.setdefault(int(b), COPY.format(gram.names[a]))
     return out
 
 
