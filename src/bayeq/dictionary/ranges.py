@@ -48,6 +48,10 @@ PHASES = -0.25 * math.pi, 0.25 * math.pi
 # Nodes of a place where a term jumps; the place is known no better than about one of them.
 JUMP_NODES = 1000
 
+# Nodes of a place where a term bends: a bend between nodes that are far apart looks like a polynomial. Of several
+# constants the grid of all has about this many.
+BEND_NODES, BEND_GRID = 100, 2500
+
 # Frequencies are this share of what the record resolves apart.
 APART = 0.8
 
@@ -208,7 +212,8 @@ def grids(
     each = []
     for name in names:
         path = next(path for term in terms for path in _paths(term.tree, name))
-        each.append(_nodes(constants[name], path, constants, columns))
+        bends = min(BEND_NODES, max(NODES, int(BEND_GRID ** (1.0 / len(names)))))
+        each.append(_nodes(constants[name], path, constants, columns, bends))
     count = math.prod(map(len, each))
     if count > MOST_NODES:
         raise InputError(
@@ -397,7 +402,7 @@ def _values(node: Node, constants: Mapping[str, Unknown], columns: Columns) -> l
 
 
 def _nodes(
-    constant: Unknown, path: tuple[Node, ...], constants: Mapping[str, Unknown], columns: Columns
+    constant: Unknown, path: tuple[Node, ...], constants: Mapping[str, Unknown], columns: Columns, bends: int
 ) -> list[float]:
     place = _place(path)
     low, high = constant.low, constant.high
@@ -411,7 +416,7 @@ def _nodes(
         step = APART * 2.0 * math.pi / _span(values)
         found = np.linspace(low, high, max(NODES, math.ceil((high - low) / step) + 1))
         return (1.0 / found if below else found).tolist()
-    count = JUMP_NODES if _jumps(path) else NODES
+    count = JUMP_NODES if _jumps(path) else bends if _bends(path) else NODES
     return (np.geomspace if is_scale(constant) else np.linspace)(low, high, count).tolist()
 
 
@@ -419,3 +424,8 @@ def _jumps(path: tuple[Node, ...]) -> bool:
     """Whether a term jumps where something passes a constant: nothing but a fine grid finds that place."""
     steps = ("sign", "heaviside", "floor", "ceil")
     return any(is_comparison(node) or (isinstance(node, Call) and node.function in steps) for node in path)
+
+
+def _bends(path: tuple[Node, ...]) -> bool:
+    """Whether a term has a corner where something passes a constant."""
+    return any(isinstance(node, Call) and node.function in ("abs", "max", "min") for node in path)

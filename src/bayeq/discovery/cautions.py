@@ -12,6 +12,7 @@ import numpy as np
 from bayeq.dictionary.families import degree
 from bayeq.equation.equation import Equation
 from bayeq.errors import AmbiguityWarning, DataWarning, TermWarning, WarningLog, some_of
+from bayeq.expressions import Binary
 from bayeq.records import Record, counts_rows
 from bayeq.records.names import is_time_name
 from bayeq.records.validate import other_step
@@ -94,6 +95,11 @@ def warn_of_zero(design: Design, records: Sequence[Record], log: WarningLog) -> 
 
 def warn_of_terms(design: Design, log: WarningLog) -> None:
     n, terms = design.train[0].n, len(design.terms)
+    if terms == 1 and isinstance(sums := design.terms[0].tree, Binary) and sums.op == "+":
+        log.warn(
+            f"{design.terms[0].text} is one term, with one coefficient: write a comma between terms, as in x, v",
+            TermWarning,
+        )
     if n <= terms:
         log.warn(
             f"{n} training rows for {terms} candidate terms: fewer rows than terms; measure more, or give fewer terms",

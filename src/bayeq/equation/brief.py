@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shlex
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain
 from typing import TYPE_CHECKING, Any
 
@@ -44,7 +44,7 @@ FEW, ADVICE = 2, " (--verbose)"
 # Terms of an equation of several are listed a line each up to this number.
 MOST_ROWS = 6
 
-# An answer that is longer goes without the line left empty above the checks, if that is enough.
+# An answer that is longer has terms in lines in place of tables, and no empty line above the checks.
 MOST_LINES = 16
 
 # Functions of a displacement that are neither linear nor cubic; more may be a series.
@@ -56,52 +56,78 @@ DERIVED = ("omega_n",)
 
 def brief(eq: Answer, folder: str | os.PathLike[str] = "") -> str:
     """Verdict, law in physical parameters where there are any, equations, checks and source; or what to try."""
-    lines = _wrapped(f"verdict: {eq.verdict.kind}: {sentence(eq)}")
+    verdict = _wrapped(f"verdict: {eq.verdict.kind}: {sentence(eq)}")
     if eq.verdict.kind == "none":
-        return "\n".join([*lines, "", *_wrapped(what_to_try(eq, folder))])
-    physical, second = own_parameters(eq), [one for one in eq.equations if one.chain.order == 2]
+        return "\n".join([*verdict, "", *_wrapped(what_to_try(eq, folder))])
+    physical = own_parameters(eq)
+    lines = [*verdict, *_answer(eq, physical, compact=False)]
+    if len(lines) > MOST_LINES and len(eq.equations) == 1:
+        lines = [*verdict, *_answer(eq, physical, compact=True)]
+    return "\n".join(lines)
+
+
+def _answer(eq: Answer, physical: PhysicalParameters | None, compact: bool) -> list[str]:
+    """The law, its parameters and terms, the checks; the terms in tables, or in lines where it is to be compact."""
+    lines, second = list[str](), [one for one in eq.equations if one.chain.order == 2]
     # the equation that physical parameters are of, if that is one alone
     owner = second[0] if len(second) == 1 else eq.equations[0] if len(eq.equations) == 1 else None
     for one in eq.equations:
-        tabled = physical is None or _doubtful(one) or bool(one.shown_constants)
+        own = physical if physical and one is owner else None
+        tabled = not physical or _doubtful(one) or bool(one.shown_constants)
         lines += [
             *([""] if tabled or one is eq.equations[0] else []),
-            *(_law(eq, physical, one, tabled) if physical is not None and one is owner else ()),
+            *(_law(eq, own, one) if own else ()),
             # bold for a terminal; `click.echo` takes it out elsewhere
             *(f"\x1b[1m{line}\x1b[0m" for line in _wrapped(one.text, "    ")),
         ]
-        explained = one is owner or one.chain.stated
-        if tabled or (not explained and len(one.shown) <= MOST_ROWS):
-            lines += _table(one, ENGINES[eq.method].score, marked=physical is not None)
-        elif not explained:
-            lines += _wrapped(f"    95 % intervals: {_intervals(one, one.shown)}", "      ")
-    if physical is not None and owner is None:
-        lines += ["", *_quantities(physical)]
-        if len(physical) and physical.unexplained and eq.equations[0].chain.order == 2:
+        if own or compact or (one.chain.stated and not tabled) or not (tabled or len(one.shown) <= MOST_ROWS):
+            lines += _in_lines(one, ENGINES[eq.method].score, certain=not (own or one.chain.stated))
+        else:
+            lines += _table(one, ENGINES[eq.method].score, marked=bool(physical))
+    if physical is not None and (physical.note or owner is None):
+        lines += ["", *_rows(map(_cells, _told(physical)))]
+        if physical and physical.unexplained and eq.equations[0].chain.order == 2:
             lines += _wrapped(f"    also in the equation: {', '.join(physical.unexplained)}", "      ")
         lines += _wrapped(f"    {physical.note}", "      ")
-    if physical is not None and any(f" {text.MARK}" in line for line in lines):
+    if physical and any(f" {text.MARK}" in line for line in lines):
         lines += _wrapped(f"    {text.MARK} {text.OVER_MODELS}", "      ")
-    above = len(lines)
-    lines += ["", *_wrapped(checks(eq))]
+    checked = _wrapped(checks(eq))
     for one in eq.equations:
         which = f"{one.target}: " if len(eq.equations) > 1 else ""
         small = [[_wrapped(which + said) for said in text.unseen(one, few, ADVICE)] for few in (FEW, 1)]
         others = (_wrapped(which + said) for said in (*failed(one), *series(one)))
-        lines += chain.from_iterable([*others, *min(small, key=lambda said: sum(map(len, said)))])
-    lines += chain.from_iterable(map(_wrapped, (*copies(eq), *text.given_of(eq))))
-    lines += _wrapped(text.source_of(eq, short=True))
-    if len(lines) > MOST_LINES >= len(lines) - lines.count("") + 1:
-        del lines[above]
-    return "\n".join(lines)
+        checked += chain.from_iterable([*others, *min(small, key=lambda said: sum(map(len, said)))])
+    checked += chain.from_iterable(map(_wrapped, (*copies(eq), *text.given_of(eq))))
+    return [*lines, *([] if compact else [""]), *checked, *_wrapped(text.source_of(eq, short=True))]
 
 
-def _law(eq: Answer, physical: PhysicalParameters, owner: Equation, tabled: bool) -> list[str]:
+def _law(eq: Answer, physical: PhysicalParameters, owner: Equation) -> list[str]:
     """The law in symbols, where it is one of these, its parameters, and the terms that have no place among them."""
     in_symbols, symbols = law_in_symbols(eq, physical), {q.symbol for q in physical}
-    lines = [*([] if in_symbols is None else _wrapped(in_symbols, "    ")), *_quantities(physical)]
-    also = ", ".join(physical.unexplained) if tabled else _intervals(owner, physical.unexplained, "x0" in symbols)
+    constants = [
+        (row.name, row.coefficient, f"({row.interval})", printable(row.unit), "inside a term")
+        for row in text.rows_of(owner)[:-1]
+        if row.coefficient and not row.score
+    ]
+    lines = [
+        *([] if in_symbols is None else _wrapped(in_symbols, "    ")),
+        *_rows([*map(_cells, _told(physical)), *constants]),
+    ]
+    also = _intervals(owner, physical.unexplained, "x0" in symbols)
     return lines + _wrapped(f"    also in the equation: {also}", "      ") if also else lines
+
+
+def _in_lines(equation: Equation, score: str, certain: bool) -> list[str]:
+    """Terms in doubt, with their probabilities, and the intervals of those that are certain too."""
+    rows = text.rows_of(equation)[:-1]
+    doubtful = [row for row in rows if row.pip < text.CERTAIN and (row.coefficient or _doubtful(equation))]
+    listed = ", ".join(
+        f"{row.name} ({score} {row.score}{'' if row.coefficient else ', not in it'})" for row in doubtful
+    )
+    lines = [f"    in doubt: {listed}"] if doubtful else []
+    if certain:
+        lines.insert(0, f"    95 % intervals: {_intervals(equation, [row.name for row in rows if row.coefficient])}")
+    return list(chain.from_iterable(_wrapped(line, "      ") for line in lines))
 
 
 def _intervals(equation: Equation, names: Sequence[str], without_constant: bool = False) -> str:
@@ -160,7 +186,7 @@ def tabled_parameters(found: PhysicalParameters) -> list[tuple[str, str, str, st
 def law_in_symbols(eq: Answer, found: PhysicalParameters) -> str | None:
     """``m*a + c*v + k*x = u`` of a single equation; None where terms or a constant have no place in it."""
     symbols, equation = {q.symbol for q in found}, eq.equations[0]
-    if len(eq.equations) > 1 or equation.chain.order != 2 or found.unexplained:
+    if not found or len(eq.equations) > 1 or equation.chain.order != 2 or found.unexplained:
         return None
     if equation.intercept_matters and "x0" not in symbols:
         return None
@@ -176,11 +202,19 @@ def law_in_symbols(eq: Answer, found: PhysicalParameters) -> str | None:
     return f"{' + '.join(parts)} = {driven[0] if driven and not per else '0'}" if not (driven and per) else None
 
 
-def _quantities(found: PhysicalParameters) -> list[str]:
-    # a position of rest that is zero says nothing; shapes of modes are many
-    told = [q for q in found if (q.mean or q.sd) and q.symbol not in DERIVED and not q.symbol.startswith("phi_")]
-    rows = [(q.symbol, q.cells[0], f"({q.cells[2]})", printable(q.cells[3]), _meaning(q)) for q in told]
-    return [f"    {line}" for line in aligned(rows, left=(0, 2, 3, 4))]
+def _told(found: PhysicalParameters) -> list[Quantity]:
+    """Parameters that are printed: a position of rest that is zero says nothing; shapes of modes are many."""
+    return [q for q in found if (q.mean or q.sd) and q.symbol not in DERIVED and not q.symbol.startswith("phi_")]
+
+
+def _cells(quantity: Quantity) -> tuple[str, ...]:
+    """A row of parameters: symbol, value, interval, unit and meaning."""
+    value, _, interval, unit = quantity.cells
+    return quantity.symbol, value, f"({interval})", printable(unit), _meaning(quantity)
+
+
+def _rows(rows: Iterable[tuple[str, ...]]) -> list[str]:
+    return [f"    {line}" for line in aligned(list(rows), left=(0, 2, 3, 4))]
 
 
 def _meaning(quantity: Quantity) -> str:
@@ -267,9 +301,9 @@ def failed(equation: Equation) -> Iterator[str]:
         yield printable(f"likely, but left out ({left.reason}): {left.name}, probability {left.pip:.3f}")
 
 
-def copies(eq: Answer) -> Iterator[str]:
-    """Terms of the equations that others may stand for: the same on the record, and not elsewhere."""
-    shown = {name for one in eq.equations for name in one.shown}
+def copies(eq: Answer) -> list[str]:
+    """The first of the terms that may stand for others of the equations: the same on the record, and not elsewhere."""
+    shown, found = {name for one in eq.equations for name in one.shown}, list[str]()
     for left in eq.dropped:
         own = next((name for name in shown if left.reason == COPY.format(name)), None)
         if own is None:
@@ -281,7 +315,8 @@ def copies(eq: Answer) -> Iterator[str]:
             values = evaluate_terms(terms, columns)
             first, second = (values - values.mean(axis=0)).T
         if not abs(first @ second) > (1.0 - 1e-9) * np.linalg.norm(first) * np.linalg.norm(second):
-            yield f"{left.name} is the same as {own} on this record: either may be right beyond it"
+            found.append(f"{left.name} is the same as {own} on this record: either may be right beyond it")
+    return [f"{found[0]}; {len(found) - 1} more such terms{ADVICE}"] if len(found) > 1 else found
 
 
 # Candidates that are not in the equation are listed up to this many.

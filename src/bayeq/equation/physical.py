@@ -63,13 +63,17 @@ MOST_DRAWS, LEAST_SHARE = 4000, 0.5
 
 
 def own_parameters(eq: Answer) -> PhysicalParameters | None:
-    """Physical parameters; None where the equations have none, or are none or not determined: they hold given terms."""
+    """Physical parameters, or of an equation of motion only a note why there are none.
+
+    None of equations of other kinds without them, and where these are none or not determined: they hold given terms.
+    """
     if eq.verdict.kind in ("none", "not determined"):
         return None
     try:
         return oscillator_parameters(eq, None, target=None, force=None, draws=DRAWS, seed=0)
-    except InputError:
-        return None
+    except InputError as error:
+        moving = not eq.roles.discrete and [one.chain.order for one in eq].count(2) in (1, len(eq))
+        return PhysicalParameters((), note=f"no physical parameters: {error}") if moving else None
 
 
 def oscillator_parameters(

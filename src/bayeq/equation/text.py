@@ -12,6 +12,7 @@ from rich import box, markup
 from rich.console import Console
 from rich.table import Table
 
+from bayeq.dictionary.specification import split_at
 from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation
 from bayeq.equation.verdict import LEAST_SHOWN
@@ -174,12 +175,13 @@ def forms_of(equation: Equation) -> list[str]:
     """How likely the members of each either-or are that is in the equation."""
     out = []
     for found in equation.forms.values():
-        if len(found) > 1 and set(found) & set(equation.shown):
+        shown = set(equation.shown)
+        if len(found) > 1 and any(shown.issuperset(split_at(name)) for name in found):
             top = max(found.values())
             weight = {name: math.exp(value - top) for name, value in found.items()}
             total = sum(weight.values())
             ranked = [(name, weight[name] / total) for name in sorted(weight, key=lambda name: -weight[name])]
-            listed = ", ".join(f"{name} {share:.3f}" for name, share in ranked)
+            listed = ", ".join(f"{name.replace(', ', ' and ')} {share:.3f}" for name, share in ranked)
             out.append(f"form{'' if ranked[1][1] < FORMS else ' undecided'}: {listed}")
     return out
 

@@ -31,7 +31,7 @@ from bayeq.likelihood.search import CLEARLY, Start, from_starts, resumed, search
 from bayeq.likelihood.spike import Nearly, Soft, among_fitted, among_neighbours, averaged, of_gram, soft_of
 from bayeq.likelihood.start import carried_over, series_and_paths, start_from
 from bayeq.likelihood.unequal import with_unequal_noise
-from bayeq.likelihood.unknowns import first_members, joint_covariance, settled, with_constants
+from bayeq.likelihood.unknowns import first_members, joint_covariance, moved, settled, with_constants
 from bayeq.numerics.rk4 import Interpolation
 from bayeq.numerics.settings import LIKELIHOOD
 from bayeq.states import Motion, Sensors
@@ -83,10 +83,10 @@ class RecordFit:
         included = found.about(found.posterior.support)
         lost = fitted.evidence - included.fitted.evidence
         if included.own and fitted.power == 1.0 and lost < -CLEARLY:
-            return cls.of(task, included.fitted)  # probabilities are to be those about the likelier model
+            return cls.of(included.task, included.fitted)  # probabilities are to be those about the likelier model
         # where innovations are correlated a fit of another model is no more to be relied on than the raised Gram
         if included.own and (
-            fitted.power < 1.0 or lost < found.worse(included.fitted.model) + LIKELIHOOD.neighbour_window
+            fitted.power < 1.0 or lost < found.worse(included.fitted.model, soft) + LIKELIHOOD.neighbour_window
         ):
             return included
         # what the Gram says of models far from the fitted one is not to be relied on
@@ -97,10 +97,14 @@ class RecordFit:
         found = replace(found, posterior=posterior, nearly=Nearly.unknown(task.layout.chains))
         return found.about(found.posterior.support)
 
-    def worse(self, model: Bools) -> float:
+    def worse(self, model: Bools, soft: Soft | None) -> float:
         """By how many nats the Gram finds an exact law of a model less likely than that of the fit, at least 0."""
-        models = np.array([self.task.narrow(one) for one in (self.fitted.model, model)])
-        scores = scores_of(self.task.problem(self.fitted.quadratic), models)
+        wide = np.array([self.fitted.model, model])
+        if soft is not None and soft.constants:
+            scores = soft.exact(wide)
+        else:
+            models = np.array([self.task.narrow(one) for one in wide])
+            scores = scores_of(self.task.problem(self.fitted.quadratic), models)
         return max(float(scores[0] - scores[1]), 0.0)
 
     def of_more(self, task: Task, state: State, quadratic: Quadratic, block: Block) -> RecordFit:
@@ -127,7 +131,9 @@ class RecordFit:
             other = from_all_levels(self.task, with_model(self.task, self.fitted, model), self.fitted)
             if not (np.diagonal(other.quadratic.information) > 0.0).all():  # a hidden state that nothing depends on
                 raise np.linalg.LinAlgError("no information on some candidates")
-            return replace(self, fitted=replace(other, power=self.fitted.power))
+            task, best = moved(self.task, other)
+            task, best = (task, best) if best.evidence > other.evidence else (self.task, other)
+            return replace(self, task=task, fitted=replace(best, power=self.fitted.power))
         except np.linalg.LinAlgError:  # motion that it does not stay near: as the likelihood about the former tells it
             return replace(self, fitted=replace(self.fitted, model=model), own=False)
 

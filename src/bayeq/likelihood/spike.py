@@ -238,14 +238,16 @@ class Soft:
             return float(self.models(tau).log_posterior[0])
         if tau not in self.likeliest:
             q, largest = self.quadratic(tau)
-            self.likeliest[tau] = best_models(self.task.problem(q))[0][0] + largest
+            self.likeliest[tau] = (
+                best_models(self.task.problem(q), [self.task.narrow(self.fitted.model)])[0][0] + largest
+            )
         return self.likeliest[tau]
 
     def models(self, tau: Sizes) -> ModelSet:
         """The models given sizes, with ln p(data, model | sizes) up to the same constant."""
         if tau not in self.sets:
             q, largest = self.quadratic(tau)
-            found = list_models(self.task.problem(q))
+            found = list_models(self.task.problem(q), known=[self.task.narrow(self.fitted.model)])
             finite = np.isfinite(found.log_posterior)  # terms that are one and the same to rounding may overflow
             if not finite.any():
                 raise np.linalg.LinAlgError("no model's evidence is finite")
@@ -258,13 +260,21 @@ class Soft:
 
         The prior of terms has lost what the ranges of constants cost, which is given back.
         """
-        wide = np.array([self.task.wide(model) for model in found.models])
+        return _sorted(
+            found, found.models, self._integrated(tau, np.array([self.task.wide(one) for one in found.models]))
+        )
+
+    def exact(self, wide: Bools) -> Floats:
+        """ln p(data, model) of exact laws, up to a constant, each with the constants of its own terms integrated out."""
+        return self._integrated((0.0,) * len(self.spreads), wide)
+
+    def _integrated(self, tau: Sizes, wide: Bools) -> Floats:
         has = wide[:, self.task.number(Candidates(*np.array([one.of for one in self.constants]).T))]
-        values = np.empty(len(found.models))
+        values = np.empty(len(wide))
         for pattern in np.unique(has, axis=0):
             rows = (has == pattern).all(axis=1)
             values[rows] = self._scores(tau, wide[rows], self._inside(pattern)) + self._lost(pattern)
-        return _sorted(found, found.models, values)
+        return values
 
     def _inside(self, pattern: Bools) -> list[Freed]:
         return [one for one, held in zip(self.constants, pattern, strict=True) if held]

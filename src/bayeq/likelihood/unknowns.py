@@ -13,6 +13,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -36,12 +37,22 @@ from bayeq.dictionary.ranges import (
     to_plain,
     to_scale,
 )
-from bayeq.expressions import Binary, Expression, Node, Unknown, number
+from bayeq.expressions import Binary, Expression, Node, Symbol, Unknown, number
 from bayeq.inference.collapsed.search import best_models, scores_of
 from bayeq.inference.collapsed.slab import exact_posterior
 from bayeq.likelihood.fit import Quadratic, State, adjoints, corrections, improved, information, maximised, solved
 from bayeq.likelihood.layout import Candidates, Layout
-from bayeq.likelihood.model import COARSE, MOST_HALVED, Fitted, Task, calmed, finished, fit, over_all_sizes
+from bayeq.likelihood.model import (
+    COARSE,
+    MOST_HALVED,
+    Fitted,
+    Task,
+    calmed,
+    finished,
+    fit,
+    over_all_sizes,
+    with_model,
+)
 from bayeq.likelihood.search import settle
 from bayeq.likelihood.start import precision_of_terms
 from bayeq.numerics.distributions import Z95
@@ -54,9 +65,15 @@ ROWS = 4000
 # many are fitted.
 TRIED, PEAKS = 24, 2
 
+# Values for which a term is a sum of others, but for this share, say nothing of it.
+COPIED = 1e-6
+
 # Where the likelihood about a fit finds another model likelier by more nats, at the values of the fit, it misleads: a
 # term is next to infinite somewhere.
 MISLEADS = 100.0
+
+# A series and a term in its place are both told where they are this close, in nats.
+CLOSE = 3.0
 
 # Rounds of trying others and of moving; another value is taken where it is likelier by this many nats.
 ROUNDS, BETTER = 3, 0.5
@@ -119,7 +136,7 @@ def with_constants(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fi
             try:
                 other = first if j == active else settled(motion, *_instead(motion, *first, active, j))
                 # ln p(data, model), constants integrated out
-                score = other[1].evidence + min([0.0, *_costs(*other).values()])
+                score = _averaged(*other)
             except np.linalg.LinAlgError:
                 continue
             if score > max(found.values(), default=-math.inf):
@@ -128,6 +145,10 @@ def with_constants(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fi
         if not found:
             raise np.linalg.LinAlgError(f"{choice}: the likelihood of none is finite")
         forms[choice] = found
+    for family in families(task.layout.terms):
+        if any(_is_active(task, j) for j in family) and not _of_law(task, family):
+            task, fitted, found = _beside_a_series(motion, task, fitted, family)
+            forms |= {" | ".join(found): found} if found else {}
     return _with_odds(task, fitted), fitted, forms
 
 
@@ -144,6 +165,71 @@ def settled(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fitted]:
         if fitted is before or fitted.evidence < before.evidence + BETTER:
             break
     return task, fitted
+
+
+def _beside_a_series(
+    motion: Motion, task: Task, fitted: Fitted, family: Sequence[int]
+) -> tuple[Task, Fitted, dict[str, float]]:
+    """The likeliest of a family, other functions of its variables, and both; log posteriors of those that are likely.
+
+    Many of these together may be a series for the family, which nothing about the fit then asks for.
+    """
+    terms = task.layout.terms
+    names = frozenset[str]().union(*(terms[j].names for j in family))
+    bent = [
+        j
+        for j, one in enumerate(terms)
+        if j not in family and one.names & names and not one.unknowns and not isinstance(one.tree, Symbol)
+    ]
+    series = [j for j in bent if terms[j].names <= names]
+    fits = [(task, fitted)]
+    for held, out in ((series, bent), (family, family)):
+        if _holds(task, fitted.model, held):
+            with suppress(np.linalg.LinAlgError):
+                fits += _instead_of(motion, task, fitted, out, family)
+    scores = [_averaged(*one) for one in fits]
+    forms: dict[str, float] = {}
+    for one, score in zip(fits, scores, strict=True):
+        form = _listed(*one, [*family, *series])
+        if score > max(scores) - CLOSE:
+            forms[form] = max(score, forms.get(form, score))
+    best, fitted = next(one for one, score in zip(fits, scores, strict=True) if score > max(scores) - BETTER)
+    task = replace(best, log_odds=task.log_odds, recent=[])
+    return task, fitted, forms if len(forms) > 1 and "" not in forms else {}
+
+
+def _instead_of(
+    motion: Motion, task: Task, fitted: Fitted, out: Sequence[int], family: Sequence[int]
+) -> list[tuple[Task, Fitted]]:
+    """A fit without some terms, and with values of a family that explain most beside the others if these are not its.
+
+    Nothing where the family is needed by far.
+    """
+    bare = _without(task, out)
+    if out is family:
+        (now, _), (least, model) = (best_models(one.problem(fitted.quadratic))[0] for one in (task, bare))
+        return [] if least < now - MISLEADS else [settle(bare, with_model(bare, fitted, bare.wide(model)))]
+    values, _ = _ranked(task.layout.terms, motion, _allowed(bare), family)
+    nodes = _on_gram(bare, fitted, family, values[:TRIED])
+    return [moved(*settle(*_at(motion, bare, fitted, max(nodes, key=lambda one: one.score))), motion)]
+
+
+def _without(task: Task, terms: Sequence[int]) -> Task:
+    """The task without some of its candidates."""
+    odds = task.log_odds.reshape(task.layout.chains, -1).copy()
+    odds[:, list(terms)] = -np.inf
+    return replace(task, log_odds=odds.ravel(), recent=[])
+
+
+def _listed(task: Task, fitted: Fitted, some: Sequence[int]) -> str:
+    """Those of some terms that a model has in any equation."""
+    held = fitted.model.reshape(task.layout.chains, -1).any(axis=0)
+    return ", ".join(task.layout.terms[j].text for j in some if held[j])
+
+
+def _averaged(task: Task, fitted: Fitted) -> float:
+    """The log evidence of a fit, averaged over the ranges of its constants."""
+    return fitted.evidence + min([0.0, *_costs(task, fitted).values()])
 
 
 def _elsewhere(motion: Motion, task: Task, fitted: Fitted, family: Sequence[int]) -> tuple[Task, Fitted]:
@@ -506,7 +592,11 @@ def _ranked(
     total = sum(rows.n for rows in motion.train)
     step = 1 if waves else max(1, total // ROWS)
     parts = [rows.part(slice(None, None, step)) for rows in motion.train]
-    others = [term for j, term in enumerate(terms) if beside and j not in family and term.choice not in rivals]
+    others = [
+        term
+        for j, term in enumerate(terms)
+        if beside and j not in family and term.choice not in rivals and allowed[:, j].any()
+    ]
     Y = np.concatenate([np.column_stack([rows.columns[t] for t in motion.roles.targets]) for rows in parts])
     D = np.ones((len(Y), 1))
     if others:
@@ -527,6 +617,8 @@ def _ranked(
             continue
         rest = columns / size
         rest = rest - Q @ (Q.T @ rest)
+        if (rest**2).sum(axis=0).min() < COPIED**2:
+            continue
         gain = left.T @ rest
         explained = np.einsum("ck,kc->c", gain, np.linalg.lstsq(rest.T @ rest, gain.T, rcond=1e-10)[0])
         share = np.clip(explained / square, 0.0, 1.0 - 1e-12)

@@ -148,9 +148,12 @@ def rate_and_length(rate: str, length: str, clock: str) -> tuple[str, str]:
     --------
     >>> rate_and_length("200", "4", "s"), rate_and_length("1", "81", "year")
     (('200 Hz', '4 s'), ('1 per year', '81 years'))
+    >>> rate_and_length("1e-05", "864000", "s")
+    ('1e-05 Hz', '864000 s (10 days)')
     """
     if clock == "s":
-        return f"{rate} Hz", f"{length} s"
+        days = float(length) / 86400.0
+        return f"{rate} Hz", f"{length} s{f' ({days:.3g} days)' if days > 1.0 else ''}"
     return f"{rate} per {clock}", f"{length} {'years' if clock == 'year' else clock}"
 
 

@@ -8,6 +8,7 @@ each flip and each swap is O(1) on the tableau. It stops when what is left to fi
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -296,12 +297,13 @@ def _search(
     return left / (total + left), expanded
 
 
-def search_models(problem: Problem, tolerance: float = 5e-3) -> ModelSet:
+def search_models(problem: Problem, tolerance: float = 5e-3, known: Sequence[Bools] = ()) -> ModelSet:
     """Models that hold all but a share `tolerance` of the posterior mass, from the local optima of `best_models` on.
 
+    These are climbed to from `known` models too.
     The search also ends when the room for models or the number of moves is used up: `left_out` then tells.
     """
-    found, terms = best_models(problem), len(problem.Dty)
+    found, terms = best_models(problem, known), len(problem.Dty)
     most = int(min(MOST_MODELS, max(1000, MOST_BYTES // max(terms, 1))))
     zobrist = np.random.default_rng(0x5EED).integers(1, 2**63, size=terms, dtype=np.uint64)
     starting = np.array([model for _, model in found], dtype=np.bool_)
@@ -319,8 +321,13 @@ def search_models(problem: Problem, tolerance: float = 5e-3) -> ModelSet:
     return ModelSet(listing.models[order], listing.scores[order], left, expanded, inclusion=inclusion)
 
 
-def list_models(problem: Problem, tolerance: float = 5e-3, enumerate_up_to: int = ENUMERATE) -> ModelSet:
-    """All models of few free terms, or those that hold all but `tolerance` of the posterior mass."""
+def list_models(
+    problem: Problem, tolerance: float = 5e-3, enumerate_up_to: int = ENUMERATE, known: Sequence[Bools] = ()
+) -> ModelSet:
+    """All models of few free terms, or those that hold all but `tolerance` of the posterior mass.
+
+    The search for these begins from `known` models too.
+    """
     if int(np.isfinite(problem.log_odds).sum()) <= enumerate_up_to:
         return enumerate_models(problem)
-    return search_models(problem, tolerance=tolerance)
+    return search_models(problem, tolerance, known)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -87,12 +88,12 @@ def log_constant(problem: Problem) -> float:
     )
 
 
-def best_models(problem: Problem) -> list[tuple[float, Bools]]:
-    """Distinct local optima of ln p(y, z) under flips and swaps from `default_starts`, best first.
+def best_models(problem: Problem, known: Sequence[Bools] = ()) -> list[tuple[float, Bools]]:
+    """Distinct local optima of ln p(y, z) under flips and swaps from `default_starts` and `known` ones, best first.
 
     Each with its score, which is ln p(y, z) up to `log_constant`.
     """
-    models = np.array(default_starts(problem), dtype=np.bool_)
+    models = np.array([*default_starts(problem), *known], dtype=np.bool_)
     return _ranked(explore(problem, models, SWAP, -math.inf)[0], models)
 
 
