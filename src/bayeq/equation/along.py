@@ -15,8 +15,8 @@ from bayeq.equation.refine.output_error import Unrefined
 from bayeq.equation.refine.refine import refine
 from bayeq.errors import ConvergenceWarning, DataWarning, InputError
 from bayeq.forecast.free_run import Forecast, forecast
-from bayeq.forecast.rows import Courses
-from bayeq.forecast.score import Scores, score_records
+from bayeq.forecast.rows import Courses, require_time, rows_of, window_of
+from bayeq.forecast.score import LEAST_ROWS, Scores, score_rows
 from bayeq.numerics.rk4 import Interpolation, check_interpolation
 from bayeq.records import Record
 from bayeq.records.record import in_units
@@ -108,17 +108,29 @@ def free_run(eq: Answer, record: Record, *, interpolation: Interpolation | None 
     )
 
 
-def scores(eq: Answer, records: Sequence[Record], *, interpolation: Interpolation | None = None, **how: Any) -> Scores:
-    """See `Equations.score`, whose other arguments go to `score_records`."""
-    return score_records(
-        eq.dynamics(),
-        records,
-        eq.smooth,
-        eq.data.sensors,
-        share=eq.data.holdout or LAST,
-        interpolation=_between(eq, interpolation),
-        **how,
-    )
+def scores(
+    eq: Answer,
+    records: Sequence[Record],
+    *,
+    start: int | None = None,
+    rows: int | None = None,
+    interpolation: Interpolation | None = None,
+) -> Scores:
+    """See `Equations.score`."""
+    courses, share = _between(eq, interpolation), eq.data.holdout or LAST
+    check_interpolation(courses)
+    motion = estimate_motion(records, eq.roles, eq.smooth, share if start is None else 0.0, eq.data.sensors)
+    pieces, dynamics = [], eq.dynamics()
+    for record, whole in zip(records, rows_of(motion, "a free run", courses), strict=True):
+        time, first = require_time(record, "a free run"), start
+        if first is None:
+            cut = whole.n - max(int(share * whole.n), LEAST_ROWS)
+            # the first row from there on that had not been dropped
+            moment = 0.5 * (whole.time[cut - 1] + whole.time[cut]) if cut else time[0]
+            first = min(int(np.searchsorted(time, moment)), record.n - LEAST_ROWS)
+        window = window_of(record, first, rows)
+        pieces.append(whole.part(slice(whole.nearest(time[window.start]), whole.nearest(time[window.stop - 1]) + 1)))
+    return score_rows(dynamics, dynamics.mean, pieces)
 
 
 def _static_laws(eq: Answer) -> str:

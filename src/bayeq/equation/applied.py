@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from bayeq.equation import along
+from bayeq.equation.equation import Equation
 from bayeq.equation.equations import Equations
 from bayeq.equation.verdict import state_noise, window_errors
 from bayeq.equation.written import finite, moment
@@ -170,9 +171,9 @@ def apply_to(equations: Equations, records: Sequence[Record], draws: int = 200, 
         driven = pieces if equations.states else []
         runs = tuple((piece.name, along.free_run(equations, piece, draws=draws, seed=seed)) for piece in driven)
         one_step = {
-            target: _single_step(equations, k, pieces, error)
-            for k, (target, error) in enumerate(scores.one_step.items())
-            if not equations.equations[k].chain.hidden  # whose samples are the equation's own
+            one.target: _single_step(equations, one, pieces, scores.one_step[one.target])
+            for one in equations
+            if not one.chain.hidden  # whose samples are the equation's own
         }
         motion = estimate_motion(pieces, equations.roles, equations.smooth, sensors=equations.data.sensors)
         windows = window_errors(equations.dynamics(), replace(motion, courses=equations.data.interpolation))
@@ -218,15 +219,15 @@ def _out_of_range(equations: Equations, records: Sequence[Record]) -> list[str]:
     return out
 
 
-def _single_step(equations: Equations, k: int, pieces: Sequence[Record], nrmse: float) -> Error:
+def _single_step(equations: Equations, equation: Equation, pieces: Sequence[Record], nrmse: float) -> Error:
     """The error of a target row by row, and the share of its samples within the predictive band."""
-    equation = equations[k]
     target, unit = equation.target, equation.units.get(equation.target)
     if not all(target in piece.channels for piece in pieces):
         return Error(nrmse, math.nan, unit, None)
     samples = np.concatenate([piece[target] for piece in pieces])
-    parts = zip(*(along.predictions(equations, piece, return_std=True) for piece in pieces), strict=True)
-    mean, sd = (np.concatenate([one.reshape(len(one), -1)[:, k] for one in part]) for part in parts)
+    how = equations.roles, equations.smooth, equations.data.sensors
+    rows = (along.rows_of_record(piece, *how) for piece in pieces)
+    mean, sd = (np.concatenate(part) for part in zip(*(equation.predict(one, True) for one in rows), strict=True))
     there = np.isfinite(samples)
     inside = float(np.mean(np.abs(samples - mean)[there] <= Z95 * sd[there])) if there.any() else None
     return Error(nrmse, nrmse * float(np.nanstd(samples)), unit, inside)
