@@ -148,11 +148,10 @@ def as_equations_have_them(equations: Equations, record: Record) -> tuple[Record
 
 
 def apply_to(equations: Equations, records: Sequence[Record], draws: int = 200, seed: int = 0) -> Prediction:
-    """What equations predict of records, and whether they hold there.
+    """What equations predict of records that have all their channels, and time, and whether they hold there.
 
-    Records need all channels of the equations' chains and inputs, and time; their units are converted where they
-    differ. Draws are runs with coefficients from the posterior, for the bands. InputError: channels that are missing,
-    units that cannot be converted, no time. DataWarning: samples that are missing or left out.
+    Draws are runs with coefficients from the posterior, for the bands. InputError: channels that are missing, units
+    that cannot be converted, no time. DataWarning: samples that are missing or left out.
     """
     records = numbered(records, equations.numbers)
     if equations.roles.discrete:

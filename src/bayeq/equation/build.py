@@ -182,11 +182,7 @@ def _numbers(regression: Regression) -> float:
 def with_doubts(
     equations: Sequence[Equation], selections: Sequence[Selection], tolerance: float
 ) -> tuple[Equation, ...]:
-    """Equations with verdicts that consider other equations, and what is left of the record.
-
-    Other equations whose predictions are no further from the full model's than the tolerance, a share of the target's
-    standard deviation, or what the law lacks, are the same for practical purposes.
-    """
+    """Equations with verdicts that consider what is left of the record, and other equations beyond the tolerance."""
     design = selections[0].fit.regression.design
     again = repeating(design.motion, design.terms)
     found = []

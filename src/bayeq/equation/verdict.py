@@ -14,6 +14,7 @@ from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
 from bayeq.equation.selection.alternatives import Alternatives
 from bayeq.equation.selection.excitation import Repeating
+from bayeq.equation.written import chance
 from bayeq.errors import in_digits
 from bayeq.expressions.implicit import multiplied
 from bayeq.forecast.dynamics import Dynamics
@@ -181,7 +182,7 @@ def doubted(
         return Verdict(
             "nearly true",
             f"what is left of {coloured.channel} is not white noise: {in_digits(coloured.ratio)} times as much between"
-            f" {in_digits(coloured.low)} and {in_digits(coloured.high)} {rate} (p {_chance(coloured.p)})",
+            f" {in_digits(coloured.low)} and {in_digits(coloured.high)} {rate} ({chance(coloured.p, 1)})",
             f"{CAREFUL}: check calibration, timing, filters and hum of {coloured.channel}",
         )
     if n_eff is not None:
@@ -238,13 +239,9 @@ def _changing(one: Change) -> Verdict:
     size = "its sign" if one.reverses else f"by {100.0 * one.relative:+.2g} %"
     return Verdict(
         "nearly true",
-        f"{one.of} changes {size} over the record (p {_chance(one.p)})",
+        f"{one.of} changes {size} over the record ({chance(one.p, 1)})",
         f"{CAREFUL}: answer parts of the record apart (--rows), or offer t times the term",
     )
-
-
-def _chance(p: float) -> str:
-    return f"= {p:.1g}" if p >= 1e-4 else "< 0.0001"
 
 
 def worst(verdicts: Sequence[tuple[str, Verdict]]) -> Verdict:

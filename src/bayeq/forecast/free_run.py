@@ -320,11 +320,10 @@ def least_rows(dynamics: Dynamics) -> int:
 def fitted_start(dynamics: Dynamics, parameters: Floats, rows: Rows, low: Floats, high: Floats) -> Floats:
     """The initial state (d,) with which a free run follows the first period of some rows best.
 
-    A state read off the record at the first row carries that row's noise, and a smoothed one is least sure at the ends
-    of a record; the run then keeps the error for good. So the state is estimated from what was measured over the first
-    period (as output-error methods do with initial conditions; Ljung, System Identification, 1999, section 16.3), held
-    to the one that was read off where the samples say little. Where nothing better is found it is that of the first
-    row. Runs go on from `low` to `high`, (d,) each; parameters are (p,).
+    A state read off at the first row carries that row's noise, and the run keeps the error for good. So it is estimated
+    from what was measured over the first period (as output-error methods do; Ljung, System Identification, 1999,
+    section 16.3), held to the one that was read off where the samples say little, which it is if nothing is better.
+    Runs go on from `low` to `high`, (d,) each; parameters are (p,).
     """
     whole = rows.stack(dynamics.states)
     first, spread = whole[0], whole.std(axis=0)

@@ -358,16 +358,14 @@ class Motions:
             return None
         return dict(zip((*self.dynamics.states, *self.dynamics.roles.inputs), (*states.T, *inputs.T), strict=True))
 
-    def keeps(self, shape: Floats, share: float) -> bool:
-        """Whether a run is within the limits."""
-        columns, limits = self.run(shape, share), self.conditions.limits
-        return columns is not None and all(np.abs(columns[name]).max() <= most for name, most in limits.items())
+    def largest_share(self, realisations: Sequence[Floats]) -> float:
+        """The largest share of the amplitude with which all realisations keep the limits, 0 if not a thousandth."""
+        limits = self.conditions.limits.items()
 
+        def kept(share: float) -> bool:
+            runs = (self.run(shape, share) for shape in realisations)
+            return all(
+                run is not None and all(np.abs(run[name]).max() <= most for name, most in limits) for run in runs
+            )
 
-def largest_share(motions: Motions, realisations: Sequence[Floats]) -> float:
-    """The largest share of the amplitude with which all realisations keep the limits; 0 if not even a thousandth."""
-
-    def fits(scale: float) -> bool:
-        return all(motions.keeps(shape, scale) for shape in realisations)
-
-    return 1.0 if fits(1.0) else bisect_left(range(1, STEPS), True, key=lambda k: not fits(k / STEPS)) / STEPS
+        return 1.0 if kept(1.0) else bisect_left(range(1, STEPS), True, key=lambda k: not kept(k / STEPS)) / STEPS

@@ -54,11 +54,7 @@ class CandidateModel:
 
 
 def likeliest_models(fit: RegressionFit) -> tuple[CandidateModel, ...]:
-    """The likeliest models of a fitted regression, the likeliest first.
-
-    Those of the average; without one, the model found and those one move away, by their odds against it. An engine
-    without a spike-and-slab prior has its own model alone.
-    """
+    """The likeliest models, best first: those of the average, or the one found and, by their odds, its neighbours."""
     posterior, out = fit.posterior, []
     if posterior.average is not None:
         models, probability = posterior.average.models, posterior.average.probability
@@ -145,10 +141,7 @@ def coefficient_gain(D: Floats, covariance: Floats, noise_variance: float) -> Fl
 
 
 def seconds_to_halve(gains: Floats, seconds: float) -> float:
-    """Time after which standard deviations are half of what they were, in the geometric mean over all directions.
-
-    `gains` are eigenvalues from `coefficient_gain` of a record of `seconds`, of all equations.
-    """
+    """Time that halves standard deviations in the geometric mean; `gains` are those of all equations in `seconds`."""
     wanted = len(gains) * math.log(2.0)
 
     def value(t: float) -> float:

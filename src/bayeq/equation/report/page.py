@@ -151,11 +151,7 @@ def without_maths(label: str) -> str:
 
 
 def as_bokeh(axes: Sequence[Any]) -> Any:
-    """A Bokeh model of axes of one matplotlib figure, one below the other, with the horizontal axis in common.
-
-    Lines, filled bands, bars, images and texts at data are taken over; marks that have no label are drawn without hover
-    values.
-    """
+    """A Bokeh model of axes of one matplotlib figure, one below the other, with the horizontal axis in common."""
     from bokeh.layouts import column
 
     plots: list[Any] = []
@@ -329,11 +325,7 @@ def require_report() -> None:
 def write_report(
     path: Path, eq: Answer, records: Sequence[Record], files: Sequence[Path], command: str | None = None
 ) -> None:
-    """Write the page, which is replaced whole, or not at all.
-
-    Pictures are of the first record; without records, of the equations alone. Hashes are those of the files that the
-    records were read from, or of the records where none are given. The command gives the answer again; by default one
-    is made of what the equations know.
+    """Write the page, see `bayeq.Equations.report`, whole or not at all; without files hashes are of the records.
 
     InputError if a file cannot be read, or the page not be written; MissingExtraError without matplotlib or Bokeh.
     """

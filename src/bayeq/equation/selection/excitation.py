@@ -44,10 +44,9 @@ class Repeating(NamedTuple):
 
 
 def repeating(motion: Motion, terms: Sequence[Expression]) -> Repeating | None:
-    """Whether all records of some motion run along closed curves that do not tell the candidates apart.
+    """Whether all records of some motion run along closed curves that do not tell the candidates apart; None if not.
 
-    None where the motion does not repeat itself, tells the candidates apart, or has no time; and of maps, which are as
-    white as noise where they are chaotic.
+    None too of maps, which are as white as noise where they are chaotic.
     """
     drivers = motion.roles.inputs
     if not motion.timed or motion.roles.discrete or any(TIME in term.names for term in terms):
