@@ -17,6 +17,7 @@ import numpy as np
 
 from bayeq.discovery.entry import discover, question_of
 from bayeq.discovery.question import Question
+from bayeq.equation.answer import CONSTANT
 from bayeq.equation.equations import Equations
 from bayeq.equation.load import restored
 from bayeq.errors import InputError, UnknownNameError, as_path
@@ -168,9 +169,6 @@ def files_of(sources: Sequence[str | os.PathLike[str]]) -> tuple[Path, ...]:
 COLUMNS = (
     "order", "file", "target", "term", "coef", "sd", "ci_low", "ci_high", "pip", "included", "shown", "verdict", "unit",
 )  # fmt: skip
-
-# The constant, where an equation has one.
-CONSTANT = "1"
 
 DIFFERENT = (
     "The terms are not those of all files: the coefficient of one changes where another comes or goes; --common\n"
@@ -346,9 +344,8 @@ def _terms(equation: Mapping[str, Any]) -> list[dict[str, Any]]:
     terms = [row(*(term[name] for name in names), unit=term["unit"]) for term in equation["terms"]]
     for one in equation.get("constants", ()):
         if one["sd"] is not None and visible & set(one["terms"]):
-            sd = one["sd"] * (abs(one["value"]) if one["logarithmic"] else 1.0)
-            name = f"{{{one['name']}}}"
-            terms.append(row(name, one["value"], sd, one["ci95"], None, True, True, unit=one.get("unit")))
+            numbers = (one["value"], one["value_sd"], one["ci95"], None, True, True)
+            terms.append(row(f"{{{one['name']}}}", *numbers, unit=one["unit"]))
     interval, pip = equation["intercept_printed_ci95"], equation["intercept_pip"]
     matters = pip > 0.5 if pip is not None else min(interval) > 0.0 or max(interval) < 0.0
     intercept = (equation["intercept"], equation["intercept_sd"], interval, pip, matters, matters)

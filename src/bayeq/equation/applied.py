@@ -319,7 +319,7 @@ def test_errors(equations: Equations, records: Sequence[Record], skip: int) -> l
                 continue
             measured, found = record[state][skip:], run.mean[state]
             there, rmse = np.isfinite(measured), math.inf
-            if len(found) == record.n and np.isfinite(found).all():
+            if np.isfinite(found).all():
                 rmse = float(np.sqrt(np.mean((found[skip:] - measured)[there] ** 2)))
             sd = float(np.std(measured[there]))
             nrmse = rmse / sd if sd > 0.0 else math.inf

@@ -96,19 +96,15 @@ def _value(node: Node, columns: Mapping[str, Any], array: Any) -> Any:
         case Call(function, arguments) if FUNCTIONS[function].definition:
             return _value(substituted(template(FUNCTIONS[function].definition), arguments), columns, array)
         case Call(function, arguments):
-            return _called(function, [_value(argument, columns, array) for argument in arguments], array)
+            values = [_value(argument, columns, array) for argument in arguments]
+            if function == "erf":
+                return import_module("jax.scipy.special").erf(*values)
+            if function in ("max", "min"):
+                return reduce(array.maximum if function == "max" else array.minimum, values)
+            name = "where" if function == "where" else FUNCTIONS[function].numpy.__name__
+            return getattr(array, name)(*values)
         case _:
             return columns[node.name]
-
-
-def _called(function: str, arguments: list[Any], array: Any) -> Any:
-    if function == "erf":
-        return import_module("jax.scipy.special").erf(*arguments)
-    if function in ("max", "min"):
-        return reduce(array.maximum if function == "max" else array.minimum, arguments)
-    if function == "where":
-        return array.where(*arguments)
-    return getattr(array, FUNCTIONS[function].numpy.__name__)(*arguments)
 
 
 # --- source text -----------------------------------------------------------------------------------------------------

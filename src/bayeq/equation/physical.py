@@ -26,7 +26,7 @@ from bayeq.dictionary import evaluate_terms, slopes_of
 from bayeq.equation.answer import Answer
 from bayeq.equation.quantities import Mode, PhysicalParameters, Quantity, quantity
 from bayeq.equation.written import OscillatorUnits, quotient_unit
-from bayeq.errors import InputError, UnknownNameError, some_of, whole_number
+from bayeq.errors import InputError, some_of, whole_number
 from bayeq.expressions import Binary, Expression, Node, Number, Symbol, parse
 from bayeq.expressions.functions import TIME
 from bayeq.expressions.nodes import jumps_of
@@ -266,9 +266,7 @@ def drawn_coefficients(law: Law, count: int, rng: np.random.Generator) -> tuple[
 def _force(inputs: Sequence[str], coefficients: Mapping[str, Floats], force: str | None) -> str | None:
     """The input that is the force: the only one that enters linearly, or the one named."""
     if force is not None:
-        if force not in inputs:
-            raise UnknownNameError("input", force, inputs)
-        if force not in coefficients:
+        if named("input", force, inputs) not in coefficients:
             raise InputError(f"{force} is not in the equation: its coefficient says nothing of the mass")
         return force
     linear = [name for name in inputs if name in coefficients]

@@ -124,11 +124,11 @@ def source_of(eq: Answer, short: bool = False) -> str:
         judged = "fits" if eq.data.refitted else "residuals"
         used = "all used" if eq.data.refitted else used
         used += f"; {judged}, free runs and verdict are those of {eq.data.stretches} stretches of them"
+    elif eq.data.refitted and short:
+        used = f"all used; checks are of the first {eq.data.n_train}"
     elif eq.data.refitted:
         runs = " and free runs" if eq.states else ""
         used = f"all used; fits{runs} on the last {eq.data.n_held_out} are those of the first {eq.data.n_train}"
-    if short and eq.data.refitted and not eq.data.stretches:
-        used = f"all used; checks are of the first {eq.data.n_train}"
     rate = ""  # and length of the records, as far as known
     if eq.data.rows_as_time and not eq.roles.discrete:
         rate = ", time not known"

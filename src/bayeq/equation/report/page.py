@@ -255,8 +255,7 @@ def _bands(plot: Any, ax: Any) -> Shown:
     from matplotlib.collections import LineCollection, PolyCollection
 
     for made in ax.collections:
-        segments, outlined = isinstance(made, LineCollection), isinstance(made, PolyCollection)
-        if segments:
+        if isinstance(made, LineCollection):
             ends = np.array([segment for segment in made.get_segments() if len(segment) == 2])
             if not len(ends):
                 continue
@@ -264,7 +263,7 @@ def _bands(plot: Any, ax: Any) -> Shown:
             look = {"color": _hex(made.get_colors()[0]), "line_width": float(made.get_linewidths()[0]) * POINT}
             glyph = plot.segment("x0", "y0", "x1", "y1", source=source, **look)
             yield made.get_label(), glyph, [("from", "@x0{0,0.[000]}"), ("to", "@x1{0,0.[000]}")]
-        elif outlined:
+        elif isinstance(made, PolyCollection):
             colour = made.get_facecolor()[0]
             xs, ys = ([path.vertices[:, k].astype(np.float32) for path in made.get_paths()] for k in (0, 1))
             yield made.get_label(), plot.patches(xs, ys, color=_hex(colour), alpha=float(colour[3]), line_width=0), []

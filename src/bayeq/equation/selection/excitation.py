@@ -86,7 +86,8 @@ def _closed_curve(
     names = [*states, *inputs, *targets]
     samples = {name: np.asarray(rows.samples.get(name, rows.columns[name]), dtype=np.float64) for name in names}
     samples = {name: np.where(np.isfinite(one), one, rows.columns[name]) for name, one in samples.items()}
-    frequency = _frequency(time, np.column_stack([_standard(samples[name]) for name in (*states, *inputs)]))
+    moving = (samples[name] for name in (*states, *inputs))
+    frequency = _frequency(time, np.column_stack([(one - one.mean()) / (one.std() or 1.0) for one in moving]))
     if frequency is None:
         return None
     curve: dict[str, Floats] = {}
@@ -152,7 +153,3 @@ def _is_noise(left: Floats, step: float, below: float) -> bool:
         return True
     share = float(power[:inside].sum() / power.sum())
     return 1.0 - incomplete_beta(inside, len(power) - inside, share) > SELECTION.not_noise
-
-
-def _standard(values: Floats) -> Floats:
-    return np.asarray((values - values.mean()) / (values.std() or 1.0))
