@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, is_dataclass, replace
 from importlib.metadata import version
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -268,23 +269,18 @@ class Batch:
         """The rows of `table`, as plain data."""
         found = [(k, one.path, _terms(eq)) for k, one in enumerate(self.files) for eq in _equations(one.content)]
         shared = [term for equation in _equations(self._common) for term in _terms(equation)]
-        places: dict[str, list[str]] = {}
-        for term in shared or [term for *_, terms in found for term in terms]:
-            own = places.setdefault(term["target"], [])
-            if term["shown"] and term["term"] not in own:
-                own.append(term["term"])
-        for own in places.values():  # in the order in which files bring them, the constant last
-            own.sort(key=CONSTANT.__eq__)
+        shown = [_pair(term) for term in shared or chain(*(terms for *_, terms in found)) if term["shown"]]
+        # in the order in which files bring them, the constant last
+        listed = sorted(dict.fromkeys(shown), key=lambda pair: pair[1] == CONSTANT)
         beside = {
-            (term["target"], term["term"]): {f"common_{name}": term[name] for name in ("coef", "ci_low", "ci_high")}
-            for term in shared
+            _pair(term): {f"common_{name}": term[name] for name in ("coef", "ci_low", "ci_high")} for term in shared
         }
         out = []
         for k, path, terms in found:
-            kept = [term for term in terms if term["term"] in places[term["target"]]]
-            for term in sorted(kept, key=lambda one: places[one["target"]].index(one["term"])):
-                term["shown"] |= self._common is not None  # the constant too, which no prior forces in
-                out.append({"order": k, "file": path, **term, **beside.get((term["target"], term["term"]), {})})
+            own = {_pair(term): term for term in terms}
+            for pair in filter(own.__contains__, listed):
+                own[pair]["shown"] |= self._common is not None  # the constant too, which no prior forces in
+                out.append({"order": k, "file": path, **own[pair], **beside.get(pair, {})})
         return out
 
     def plot(self) -> Figure:
@@ -325,6 +321,10 @@ class Batch:
             if mixed:
                 lines += ["", f"  {UNITS.format(', '.join(mixed))}"]
         return "\n".join(lines)
+
+
+def _pair(term: Mapping[str, Any]) -> tuple[str, str]:
+    return term["target"], term["term"]
 
 
 def _equations(content: Mapping[str, Any] | None) -> list[Mapping[str, Any]]:

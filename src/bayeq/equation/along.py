@@ -77,17 +77,6 @@ def rows_of_record(record: Record, roles: Roles, smooth: Smooth, sensors: Sensor
     return {name: np.interp(places, there, values) for name, values in rows.columns.items()}
 
 
-def predictions(eq: Answer, record: Record, return_std: bool) -> Any:
-    """See `Equations.predict`."""
-    columns = rows_of_record(record, eq.roles, eq.smooth, eq.data.sensors)
-    parts = [equation.predict(columns, return_std) for equation in eq.equations]
-    if len(parts) == 1:
-        return parts[0]
-    if return_std:
-        return tuple(np.column_stack(pieces) for pieces in zip(*parts, strict=True))
-    return np.column_stack(parts)
-
-
 def require_states(eq: Answer) -> None:
     """Refuse free runs of static laws alone, by an InputError."""
     if not eq.states:

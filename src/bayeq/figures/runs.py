@@ -26,9 +26,10 @@ BAND: dict[str, Any] = {"color": style.BLUE, "alpha": 0.28, "linewidth": 0.0}
 MEASURED: dict[str, Any] = {"color": "#A8A8A8", "linewidth": 2.6, "label": "measured"}
 DRAWN: dict[str, Any] = {"color": style.BLUE, "linewidth": 0.9}
 
-# Heights of a panel and of the residual below it [mm]; those of many panels.
+# Heights of a panel and of the residual below it [mm]; those of many panels; that of a state in a quick look.
 HEIGHTS = (56.0, 28.0)
 LOW = (30.0, 15.0)
+STATE = 40.0
 
 # Share of a record that is drawn where no rows were held out.
 LAST = 0.2
@@ -87,11 +88,15 @@ def _mark_blow_up(ax: Axes, run: style.Run) -> None:
         ax.axvline(run.blew_up_at, color=style.RED, linestyle=style.DASHED, linewidth=0.8, label="blew up")
 
 
-def draw_states(axes: Sequence[Axes], run: style.Run) -> None:
-    """A free run against what was measured, a state in each of the axes."""
-    for ax, name in zip(axes, run.mean, strict=True):
-        _state(ax, run, name)
-    axes[-1].set_xlabel("time [s]")
+def draw_states(run: style.Run, ax: Any) -> list[Axes]:
+    """A free run against what was measured, a state in each of the axes that are given, or of a figure of pyplot's."""
+    with style.style():
+        axes = style.axes_for(ax, [STATE] * len(run.mean), style.QUICK, pyplot=True)
+        for one, name in zip(axes, run.mean, strict=True):
+            _state(one, run, name)
+        axes[-1].set_xlabel("time [s]")
+        style.above(axes[0])
+    return axes
 
 
 @style.picture

@@ -14,7 +14,7 @@ from bayeq.arrays import Floats
 from bayeq.errors import InputError, UnknownNameError, in_digits, whole_number
 from bayeq.expressions.parse import EARLIER
 from bayeq.figures.runs import draw_forecasts
-from bayeq.figures.style import write_output
+from bayeq.figures.style import joined, write_output
 from bayeq.forecast.dynamics import Dynamics, finest_step
 from bayeq.forecast.rows import Courses, Rows, between, normalised_error, require_time, rows_of, window_of
 from bayeq.inference.posterior import Projected
@@ -223,19 +223,10 @@ def _beginning(
 
 def write_forecasts(file: Path, runs: Sequence[tuple[str, Forecast]]) -> None:
     """Write free runs of records, by names, as a table (.csv) or a figure (of the first six), as the suffix says."""
-    several = len(runs) > 1
-
-    def table() -> pd.DataFrame:
-        import pandas as pd
-
-        names, tables = zip(*((name, run.table()) for name, run in runs), strict=True)
-        whole = pd.concat(tables, keys=names, names=["record", None]).reset_index(level=0)
-        return whole if several else tables[0]
-
-    def figure() -> Figure:
-        return draw_forecasts([(name if several else "", run) for name, run in runs[:MOST_DRAWN]])
-
-    write_output(file, table, figure)
+    if len(runs) == 1:
+        write_output(file, runs[0][1].table, lambda: draw_forecasts([("", runs[0][1])]))
+    else:
+        write_output(file, lambda: joined("record", runs), lambda: draw_forecasts(runs[:MOST_DRAWN]))
 
 
 # A run has blown up where a state is further from its measured range than this many times the range.

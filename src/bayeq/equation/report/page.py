@@ -255,7 +255,8 @@ def _bands(plot: Any, ax: Any) -> Shown:
     from matplotlib.collections import LineCollection, PolyCollection
 
     for made in ax.collections:
-        if isinstance(made, LineCollection):
+        segments, outlined = isinstance(made, LineCollection), isinstance(made, PolyCollection)
+        if segments:
             ends = np.array([segment for segment in made.get_segments() if len(segment) == 2])
             if not len(ends):
                 continue
@@ -263,7 +264,7 @@ def _bands(plot: Any, ax: Any) -> Shown:
             look = {"color": _hex(made.get_colors()[0]), "line_width": float(made.get_linewidths()[0]) * POINT}
             glyph = plot.segment("x0", "y0", "x1", "y1", source=source, **look)
             yield made.get_label(), glyph, [("from", "@x0{0,0.[000]}"), ("to", "@x1{0,0.[000]}")]
-        elif isinstance(made, PolyCollection):
+        elif outlined:
             colour = made.get_facecolor()[0]
             xs, ys = ([path.vertices[:, k].astype(np.float32) for path in made.get_paths()] for k in (0, 1))
             yield made.get_label(), plot.patches(xs, ys, color=_hex(colour), alpha=float(colour[3]), line_width=0), []
@@ -522,31 +523,25 @@ def repeat_command(eq: Answer) -> str:
         else:
             words += ["--target", chain.target] if chain.static else ["--chain", text]
     words += ["--discrete"] * eq.roles.discrete
-    for name in eq.inputs:
-        if not EARLIER.fullmatch(name) and name not in eq.numbers:  # which terms ask for
-            words += ["--input", name]
     refused = {one.state for one in eq.hidden} - {*eq.states}
     gone = {"d" * k + state for state in refused for k in range(3)}  # with its rates
-    dictionary = without_names(eq.dictionary, gone, FAMILIES.keys())
-    words += ["--dictionary", dictionary, "--method", eq.method, "--smooth", eq.smooth]
-    words += ["--differs", ", ".join(eq.differing)] if eq.numbers else []
-    for constraint in eq.constraints:
-        conserved = constraint.endswith(CONSERVED)
-        words += ["--conserve" if conserved else "--constraint", constraint.removesuffix(CONSERVED)]
-    readings = eq.data.sensors.of_reading
-    for name, share in readings.items():
-        words += ["--noise", f"{name}={f'{100 * share:.6g}' if share else ''}% of reading"]
-    for name, sd in eq.data.sensors.noise.items():
-        if name not in readings and not EARLIER.fullmatch(name):
-            words += ["--noise", f"{name}={sd:.6g}"]
-    for name, sd in eq.data.sensors.gain_sd.items():
-        words += ["--gain-sd", f"{name}={sd:.6g}"]
-    for name, lag in eq.data.sensors.lags.items():
-        words += ["--lag-sd", f"{name}={lag.prior_sd:.6g}"]
-    if eq.data.sensors.tails != "gauss":
-        words += ["--tails", eq.data.sensors.tails]
-    if eq.data.band is not None:
-        words += ["--band", "{:g}:{:g}".format(*eq.data.band)]
-    if eq.refined is not None:
-        words.append("--refine")
-    return shlex.join(words)
+    sensors = eq.data.sensors
+    noise = {name: f"{f'{100 * share:.6g}' if share else ''}% of reading" for name, share in sensors.of_reading.items()}
+    asked = [name for name in (*eq.inputs, *sensors.noise) if not EARLIER.fullmatch(name)]  # others terms ask for
+    noise |= {name: f"{sd:.6g}" for name, sd in sensors.noise.items() if name in asked and name not in noise}
+    options: dict[str, Sequence[str]] = {
+        "--input": [name for name in eq.inputs if name in asked and name not in eq.numbers],
+        "--dictionary": [without_names(eq.dictionary, gone, FAMILIES.keys())],
+        "--method": [eq.method],
+        "--smooth": [eq.smooth],
+        "--differs": [", ".join(eq.differing)] if eq.numbers else [],
+        "--constraint": [text for text in eq.constraints if not text.endswith(CONSERVED)],
+        "--conserve": [text.removesuffix(CONSERVED) for text in eq.constraints if text.endswith(CONSERVED)],
+        "--noise": [f"{name}={value}" for name, value in noise.items()],
+        "--gain-sd": [f"{name}={sd:.6g}" for name, sd in sensors.gain_sd.items()],
+        "--lag-sd": [f"{name}={lag.prior_sd:.6g}" for name, lag in sensors.lags.items()],
+        "--tails": [sensors.tails] if sensors.tails != "gauss" else [],
+        "--band": [] if eq.data.band is None else ["{:g}:{:g}".format(*eq.data.band)],
+    }
+    words += [word for option, values in options.items() for value in values for word in (option, value)]
+    return shlex.join([*words, "--refine"] if eq.refined else words)
