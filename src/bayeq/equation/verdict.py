@@ -302,12 +302,12 @@ def noise_share(regression: Regression, variance: float) -> float:
 
 def state_noise(motion: Motion) -> dict[str, float]:
     """Standard deviation of the noise of each measured channel of the chains, where a smoother has learned it."""
-    out = {}
-    for chain, smoothing in zip(motion.roles.chains, motion.smoothing, strict=False):
-        for name, sd, gain in zip(chain.measured, smoothing.model.noise_sd, smoothing.unit_gains, strict=True):
-            if name is not None and sd is not None:
-                out[name] = abs(sd * float(gain))
-    return out
+    return {
+        name: abs(sd * float(gain))
+        for chain, smoothing in zip(motion.roles.chains, motion.smoothing, strict=False)
+        for name, sd, gain in zip(chain.measured, smoothing.model.noise_sd, smoothing.unit_gains, strict=True)
+        if name is not None and sd is not None
+    }
 
 
 def window_errors(dynamics: Dynamics, motion: Motion) -> Sequence[tuple[float, str] | None]:
@@ -332,19 +332,11 @@ def window_errors(dynamics: Dynamics, motion: Motion) -> Sequence[tuple[float, s
         windows = window_runs(dynamics, pieces, min(period, shorter), unit=unit) if pieces else []
         if windows:
             length = "one correlation time" if shorter < period else "one period"
-            errors = _errors_by_chain(dynamics, windows)
-            return [None if error is None else (error, length) for error in errors]
+            places = [[dynamics.states.index(name) for name in chain.states] for chain in dynamics.roles.chains]
+            return [(_median_error(windows, own), length) if own else None for own in places]
     return none
 
 
-def _errors_by_chain(dynamics: Dynamics, windows: Sequence[tuple[Floats, Floats]]) -> list[float | None]:
-    out, first = list[float | None](), 0
-    for chain in dynamics.roles.chains:
-        if chain.static:
-            out.append(None)
-            continue
-        part = slice(first, first + len(chain.states))
-        squares = [float(np.mean((run[:, part] - states[:, part]) ** 2)) for run, states in windows]
-        out.append(math.sqrt(np.median([s if math.isfinite(s) else math.inf for s in squares])))
-        first = part.stop
-    return out
+def _median_error(windows: Sequence[tuple[Floats, Floats]], places: Sequence[int]) -> float:
+    squares = [float(np.mean((run[:, places] - states[:, places]) ** 2)) for run, states in windows]
+    return math.sqrt(np.median([s if math.isfinite(s) else math.inf for s in squares]))

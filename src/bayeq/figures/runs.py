@@ -94,13 +94,13 @@ def draw_states(run: style.Run, ax: Any) -> list[Axes]:
         axes = style.axes_for(ax, [STATE] * len(run.mean), style.QUICK, pyplot=True)
         for one, name in zip(axes, run.mean, strict=True):
             _state(one, run, name)
-        axes[-1].set_xlabel("time [s]")
+        axes[-1].set_xlabel(f"time [{run.clock}]")
         style.above(axes[0])
     return axes
 
 
 @style.picture
-def draw_forecasts(runs: Sequence[tuple[str, style.Run]], time: str = "time [s]") -> Figure:
+def draw_forecasts(runs: Sequence[tuple[str, style.Run]], time: str = "") -> Figure:
     """Free runs under each other, with titles, which may be empty, and a label of time; a panel for each state."""
     heights = [height for _, run in runs for name in run.mean for height in LOW[: 1 + (name in run.measured)]]
     titles = sum(bool(title) for title, _ in runs)
@@ -119,7 +119,7 @@ def draw_forecasts(runs: Sequence[tuple[str, style.Run]], time: str = "time [s]"
                 _residual(ax, run.time, run.measured[name], _curve(run, name), "free run")
                 ax.set_ylabel("residual")
             ax.tick_params(axis="x", labelbottom=k == len(run.mean) - 1)
-        ax.set_xlabel(time)
+        ax.set_xlabel(time or f"time [{run.clock}]")
     figure.align_ylabels()
     figure.legend(handles=style.labelled(axes.flat), loc="outside upper right", ncols=4, handlelength=2.2)
     return figure

@@ -82,7 +82,7 @@ class Forecast:
         MissingExtraError
             matplotlib is not installed.
         """
-        return draw_forecasts([("", self)], f"time [{self.clock}]")
+        return draw_forecasts([("", self)])
 
     def table(self) -> pd.DataFrame:
         """Columns time, and of each state ``x``, ``x_low``, ``x_high`` and ``x_measured``, as far as known."""
