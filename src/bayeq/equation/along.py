@@ -32,8 +32,7 @@ LAST = 0.2
 def prepared(eq: Answer, records: Sequence[Record], divide: bool = False, level: int = 3) -> list[Record]:
     """Records as they were measured, without bad samples, and with `divide` divided at long gaps.
 
-    What `discover` has said of them is not said again. Warnings name the line at this `level`, as in `warnings.warn`,
-    by default that of the caller's caller. DataWarning of samples that are missing or left out, and of gaps.
+    DataWarning of such samples and gaps, at a `level` as in `warnings.warn`, unless `discover` has said the same.
     """
     roles = _without_targets(eq.roles.seen, records)
     found, messages = cleaned(records, roles, eq.smooth)

@@ -233,10 +233,7 @@ def _single_step(equations: Equations, equation: Equation, pieces: Sequence[Reco
 
 
 def _free_run(name: str, runs: Sequence[Forecast], noise: float | None, nrmse: float) -> Error:
-    """The error of a state along the free runs, and the share of its samples within their bands.
-
-    The noise of the samples widens the band of a run as independent errors do; without it there is no share.
-    """
+    """The error of a state along the free runs, and the share of its samples within their bands, noise in these."""
     samples = np.concatenate([run.measured[name] for run in runs])
     unit = next((run.units[name] for run in runs if name in run.units), None)
     inside: float | None = None
@@ -296,9 +293,8 @@ class TestError:
 def test_errors(equations: Equations, records: Sequence[Record], skip: int) -> list[TestError]:
     """Errors of free runs over records that the equations are not from, one for each measured state.
 
-    Each run is driven by the inputs of the record alone. It begins at the first row, in the state with which it follows
-    the first `skip` rows best; the states of later rows are not looked at. InputError for fewer rows than 10 before or
-    2 after, or a channel that is missing.
+    Each run is driven by the inputs alone, and begins in the state with which it follows the first `skip` rows best.
+    InputError for fewer rows than 10 before or 2 after, or a channel that is missing.
     """
     out: list[TestError] = []
     for number, record in enumerate(records):

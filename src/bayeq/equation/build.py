@@ -75,10 +75,7 @@ TELL_APART = "other amplitudes would tell"
 def build_equations(
     selections: Sequence[Selection], units: Mapping[str, str], log: WarningLog, scored: Sequence[Equation] = ()
 ) -> tuple[tuple[Equation, ...], Scores | None]:
-    """The equations of a system, one per selection, and how they do on the rows held out; `log` takes the warnings.
-
-    Where they were found before with rows held out (`scored`), fits and verdicts on those rows are the earlier ones.
-    """
+    """The equations of a system and their scores on the rows held out; fits and verdicts are those `scored` before."""
     design = selections[0].fit.regression.design
     motion = design.motion
     dynamics = Dynamics.on(motion, design.terms, [one.reported for one in selections])

@@ -392,12 +392,13 @@ class Equations(Answer):
             "a measurement is planned for equations whose terms hold no highest derivatives": any(
                 term.names & heads for equation in self.equations for term in equation.terms
             ),
+            "the likeliest models are not in the file of the equations: find and save them again": not all(
+                equation.models for equation in self.equations
+            ),
         }
         for why, holds in refused.items():
             if holds:
                 raise InputError(why)
-        if not all(equation.models for equation in self.equations):
-            raise InputError("the likeliest models are not in the file of the equations: find and save them again")
         if self.verdict.kind == "none":
             message = "the plan is for equations that were not found: do not rely on it; check channels and terms first"
             warnings.warn(message, DataWarning, stacklevel=2)

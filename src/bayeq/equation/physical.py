@@ -313,9 +313,8 @@ def system_parameters(
 ) -> PhysicalParameters:
     """Modes of the linear part of several equations of second order, with masses, stiffnesses and dampings as known.
 
-    There is a law per coordinate. Of at most 4000 draws over the number of coordinates the modes are taken; there are
-    none where a term makes them depend on an input, or holds an acceleration. InputError for equations without a mode
-    that oscillates.
+    There are no modes where a term makes them depend on an input, or holds an acceleration. InputError for equations
+    without a mode that oscillates.
     """
     n = len(laws)
     count = min(draws, max(MOST_DRAWS // n, 100))

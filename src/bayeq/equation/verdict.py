@@ -311,12 +311,11 @@ def state_noise(motion: Motion) -> dict[str, float]:
 
 
 def window_errors(dynamics: Dynamics, motion: Motion) -> Sequence[tuple[float, str] | None]:
-    """Errors of free runs over windows, in units of the spread and noise of the states over the whole motion.
+    """Of each equation the median error of free runs over windows, and how long these are: a period, in words.
 
-    Each is the median over windows of the rows held out, or of the training rows if none are. A window is one period
-    long, 2 pi sd(x)/sd(x') of the whole motion; that of chaotic motion at most `correlation_time`. Of each equation
-    these are the error, infinite where most runs blow up, and how long the windows are; None without time, with too few
-    rows, and of static laws.
+    Windows are of the rows held out, or of the training rows if none are; those of chaotic motion last at most
+    `correlation_time`. Units are the spread and noise of the states over the whole motion. None without time, with too
+    few rows, and of static laws.
     """
     none = [None] * len(dynamics.laws)
     if not (motion.timed and dynamics.states):

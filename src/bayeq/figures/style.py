@@ -307,9 +307,8 @@ def axes_for(
 ) -> list[Axes]:
     """The axes that are given, or those of a new figure, one below the other.
 
-    `ax` is what the caller gives: matplotlib axes, a sequence of them, or None. Heights are those of the panel of each
-    of the axes, with its labels, and the width that of the figure [mm]; with `sharex` the horizontal axis is the same.
-    A figure of `pyplot` is shown by notebooks by itself. InputError if another number of axes is given than is needed.
+    Heights are those of the panel of each of the axes, with its labels, and the width that of the figure [mm]. A figure
+    of `pyplot` is shown by notebooks by itself. InputError if another number of axes is given than is needed.
     """
     if ax is not None:
         given = list(np.ravel(np.asarray(ax, dtype=object)))

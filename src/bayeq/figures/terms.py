@@ -279,11 +279,9 @@ NAMES, LONGEST = 24, 16
 
 @style.picture
 def draw_drift(table: pd.DataFrame) -> Figure:
-    """Coefficients with 95 % intervals over files, from left to right, a panel for each target and term.
+    """Coefficients of `Batch.table` with 95 % intervals over files, from left to right, a panel for each term.
 
-    The table is that of `Batch.table`: its rows of terms that are in the equation of their file are drawn, of 12 terms
-    at most. Marks are those of the verdict; a grey band is the interval of the common equation, where there is one.
-    InputError if there are no rows.
+    Marks are those of the verdict; a grey band is the interval of the common equation. InputError if there are no rows.
     """
     if not len(table):
         raise InputError("no file has an equation: there is nothing to draw; see the messages of the files")

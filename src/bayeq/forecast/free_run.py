@@ -268,11 +268,9 @@ def state_range(states: Floats) -> tuple[Floats, Floats]:
 
 
 def mean_run(dynamics: Dynamics, parameters: Floats, first: Floats, drive: Drive) -> tuple[Floats, int | None, Drive]:
-    """A free run from a state (d,), with a step found on the way.
+    """A free run from a state (d,) with parameters (p,): states (n, d), where it left its range, and the drive.
 
-    The step is judged on the run itself, taken with whole sampling intervals at first and again with shorter ones where
-    these are coarse. Returned are the states (n, d), NaN from where the run left the range, the row where it did or
-    None, and the drive with the step found. Parameters are (p,).
+    States are NaN from the row on where it did so (None if nowhere); the drive has the step that the run needed.
     """
     n = len(drive.inputs)
     if dynamics.roles.discrete:
@@ -396,9 +394,8 @@ def run_bands(
 def drawn_sines(own: Projected, count: int, rng: np.random.Generator) -> Floats:
     """Random forces of the size and spectrum of an equation's error, sums of sines (Shinozuka and Jan 1972).
 
-    Of each force, amplitude, angular frequency [rad/s] and phase of M sines, (count, M, 3), which have the same share
-    of the power. Every force has its own frequencies between the lines that are known: a resonance could fall between
-    the same few lines of all runs.
+    Of each force amplitude, angular frequency [rad/s] and phase of M sines, (count, M, 3), with frequencies of its own:
+    a resonance could fall between the same few lines of all runs.
     """
     size, first = len(own.error_lines), np.arange(len(own.error_lines))
     levels = (first + rng.random((count, size))) / size

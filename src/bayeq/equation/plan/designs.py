@@ -183,10 +183,7 @@ def conditions_of(
     given_noise: Mapping[str, float],
     limits: Mapping[str, float],
 ) -> Conditions:
-    """What was asked for, as for `bayeq.Equations.plan`, and the rest from the record; `noise` is that of every target.
-
-    InputError for names that are not there, numbers out of range, or something that neither was given nor is known.
-    """
+    """What was asked for, see `bayeq.Equations.plan`, and the rest from the record, `noise` from the equations."""
     rate = _positive("fs", fs if fs is not None else _known(measured.fs, "the sampling rate", "fs"))
     length = seconds
     if length is None:
@@ -315,11 +312,8 @@ def shapes(design: Design, conditions: Conditions, seed: tuple[int, ...]) -> Flo
 
 
 class Motions:
-    """Free runs of some dynamics from rest, under conditions.
-
-    At rest is the equilibrium under the middle of the inputs, if there is one within the range of the record; else
-    coordinates are in the middle of their range (0 where it is not known) and derivatives 0.
-    """
+    """Free runs of some dynamics from rest: the equilibrium under the middle of the inputs, if there is one within the
+    range of the record; else coordinates are in the middle of their range (0 where it is not known)."""
 
     def __init__(self, dynamics: Dynamics, conditions: Conditions) -> None:
         self.dynamics = dynamics

@@ -96,11 +96,9 @@ def unexplained(y: Floats, D: Floats) -> float:
     0.046
     """
     rest = y - y.mean()
-    if D.shape[1]:
-        Z, _ = _centred(D)
-        basis, sizes, _ = np.linalg.svd(Z, full_matrices=False)
-        kept = basis[:, sizes > RANK * max(float(sizes.max()), RANK)]
-        rest = rest - kept @ (kept.T @ rest)
+    basis, sizes, _ = np.linalg.svd(_centred(D)[0], full_matrices=False)
+    kept = basis[:, sizes > RANK * float(sizes.max(initial=RANK))]
+    rest = rest - kept @ (kept.T @ rest)
     return float(rest @ rest)
 
 
@@ -130,8 +128,6 @@ def seconds_until(needed: float, rate: float, occam: float, fs: float) -> float:
 
 def coefficient_gain(D: Floats, covariance: Floats, noise_variance: float) -> Floats:
     """Eigenvalues of S D'D/sigma^2 with the columns centred, (r,): the gain is half the sum of ln(1 + each)."""
-    if not D.shape[1]:
-        return np.empty(0)
     Z, scale = _centred(D)
     # in units in which the columns have length 1
     prior = covariance * np.outer(scale, scale) / noise_variance

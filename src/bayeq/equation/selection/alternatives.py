@@ -113,9 +113,8 @@ def _points(motion: Motion, terms: Sequence[Expression]) -> list[dict[str, Float
 
 
 def bounds(fit: RegressionFit) -> Floats | None:
-    """Below what the size of each coefficient is, with a probability of 95 % or more, were its term added.
+    """Below what the size of each coefficient is, with a probability of 95 % or more, were its term added, (P,).
 
-    The end of the 95 % interval that is further from zero, of the included terms and this one: (P,), in original units,
     NaN for terms that are included or depend on these, are tied to others by equalities, or are candidates of other
     equations only. None of very many.
     """
