@@ -291,10 +291,9 @@ def sum_in_latex(parts: Sequence[tuple[float, float, str]], uncertainty: Uncerta
     """
     out = ""
     for value, sd, term in parts:
-        if uncertainty == "plus-minus":
-            sign, number = "+", f"{_with_sd(value, sd, uncertainty)}"
-        else:
-            sign, number = "-" if value < 0 else "+", _with_sd(abs(value), sd, uncertainty)
+        inside = uncertainty == "plus-minus"  # where the sign is too
+        sign = "-" if value < 0 and not inside else "+"
+        number = _with_sd(value if inside else abs(value), sd, uncertainty)
         body = f"{number}\\,{term}" if term else number
         out += f" {sign} {body}" if out else f"-{body}" if sign == "-" else body
     return out or "0"
