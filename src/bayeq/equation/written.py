@@ -312,11 +312,9 @@ def left_out_forms(forms: Forms, pip: Mapping[str, float]) -> Iterator[str]:
 
 def row_of(one: ConstantEstimate, unit: str | None) -> dict[str, Any]:
     """The row of a constant in an equation's table."""
-    row: dict[str, Any] = {"term": f"{{{one.name}}}", "included": True, "shown": True, "why": "", "effective": False}
-    for prefix in ("", "shown_"):
-        row |= {f"{prefix}coef": one.value, f"{prefix}sd": plain_sd(one)}
-        row |= {f"{prefix}ci_low": one.ci95[0], f"{prefix}ci_high": one.ci95[1]}
-    return {**row, "unit": unit}
+    row = {"term": f"{{{one.name}}}", "included": True, "shown": True, "why": "", "effective": False, "unit": unit}
+    numbers = {"coef": one.value, "sd": plain_sd(one), "ci_low": one.ci95[0], "ci_high": one.ci95[1]}
+    return {**row, **numbers, **{f"shown_{name}": value for name, value in numbers.items()}}
 
 
 def factor_of(term: str) -> str:
