@@ -36,34 +36,12 @@ from pathlib import Path
 from typing import Any
 
 __all__ = [
-    "AmbiguityWarning",
-    "BayeqError",
-    "BayeqWarning",
-    "ChainError",
-    "ConvergenceWarning",
-    "CorrelatedResidualsWarning",
-    "DataWarning",
-    "ExpressionError",
-    "FileFormatError",
-    "InputError",
-    "InterruptedRun",
-    "LengthsError",
-    "MissingExtraError",
-    "RecordError",
-    "TermWarning",
-    "UnknownNameError",
-    "WordsError",
-    "WarningLog",
-    "as_path",
-    "one_line",
-    "printable",
-    "require_kind",
-    "require_mapping",
-    "require_number",
-    "require_text",
-    "require_texts",
-    "whole_number",
-]
+    "AmbiguityWarning", "BayeqError", "BayeqWarning", "ChainError", "ConvergenceWarning",
+    "CorrelatedResidualsWarning", "DataWarning", "ExpressionError", "FileFormatError", "InputError", "InterruptedRun",
+    "LengthsError", "MissingExtraError", "RecordError", "TermWarning", "UnknownNameError", "WordsError", "WarningLog",
+    "as_path", "one_line", "printable", "require_kind", "require_mapping", "require_number", "require_text",
+    "require_texts", "whole_number",
+]  # fmt: skip
 
 
 #: Numbers of system errors that say that a disk, or the share of it that a user has, is full.
