@@ -65,8 +65,6 @@ def build_dictionary(specification: str | Sequence[str], variables: Variables) -
 
     InputError: neither a family, nor a file, nor terms; a malformed or forbidden term; a term given twice; no terms.
 
-    Examples
-    --------
     >>> len(build_dictionary("oscillator", Variables(("x", "v"), ("u",))))
     36
     >>> [t.text for t in build_dictionary("x, v, sign( v )", Variables(("x", "v")))]

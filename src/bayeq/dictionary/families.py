@@ -39,8 +39,6 @@ def fourier(variables: Variables, argument: str | None = None) -> list[str]:
     Harmonics of derivatives, and of the time, whose frequency would have to be known, are left to typed terms:
     ``fourier:2 + cos(3*t)``.
 
-    Examples
-    --------
     >>> fourier(Variables(("th", "om"), ("u",), (("th", "om"),)), "2")
     ['sin(th)', 'cos(th)', 'sin(2*th)', 'cos(2*th)', 'u']
     """
@@ -57,8 +55,6 @@ def neighbours(variables: Variables, argument: str | None = None) -> list[str]:
 
     InputError: less than two chains.
 
-    Examples
-    --------
     >>> variables = Variables(("x1", "v1", "x2", "v2"), (), (("x1", "v1"), ("x2", "v2")), 0)
     >>> neighbours(variables)
     ['x1', 'x1**3', 'x2-x1', '(x2-x1)**3', 'v1', 'v1**3', 'v2-v1', '(v2-v1)**3']
@@ -82,8 +78,6 @@ def neighbours(variables: Variables, argument: str | None = None) -> list[str]:
 def monomials(names: tuple[str, ...], degree: int) -> list[str]:
     """All monomials of total degree 1 to `degree`, by degree: ``x``, ``v``, ``x**2``, ``x*v``, ``v**2`` ...
 
-    Examples
-    --------
     >>> monomials(("x", "v"), 2)
     ['x', 'v', 'x**2', 'x*v', 'v**2']
     """
@@ -103,8 +97,6 @@ def count(names: int, degree: int) -> int:
 def degree(term: Expression) -> int:
     """Total degree of a monomial.
 
-    Examples
-    --------
     >>> from bayeq.expressions import parse
     >>> degree(parse("x**2*v"))
     3

@@ -326,8 +326,6 @@ def parse(text: str, names: Iterable[str] | None = None) -> Expression:
     ExpressionError if the text is malformed or uses anything else, a line that says what and where; UnknownNameError if
     a name is not among `names`.
 
-    Examples
-    --------
     >>> parse("x ** 2.0 * (v)")
     parse('x**2*v')
     >>> parse("x^2 + arctan2(v, x)")
@@ -377,8 +375,6 @@ def template(text: str) -> Node:
 def substituted(node: Node, arguments: Sequence[Node]) -> Node:
     """A template with arguments for a and b.
 
-    Examples
-    --------
     >>> Expression(substituted(template("(1+sign(a))/2"), [parse("x-v").tree])).text
     '(1+sign(x-v))/2'
     """

@@ -178,8 +178,6 @@ def spectrum(pieces: Sequence[Floats], step: float) -> Spectrum | None:
 def bars(found: Spectrum, plain: bool = False) -> str:
     """The octaves as bars, the lowest first; digits 1 to 8 where blocks cannot be written.
 
-    Examples
-    --------
     >>> wave = np.sin(2 * np.pi * 5 * np.arange(1000) / 100)
     >>> bars(spectrum([wave], 0.01)), bars(spectrum([wave], 0.01), plain=True)
     ('▁▁▁▁█▁▁▁', '11118111')

@@ -87,8 +87,6 @@ def _without_prefix(names: Sequence[str]) -> dict[str, str]:
 def one_way(values: Floats) -> bool:
     """Whether a speed goes on in one direction nearly always.
 
-    Examples
-    --------
     >>> t = np.linspace(0.0, 3.0, 200)
     >>> one_way(1.0 - np.exp(-t)), one_way(np.exp(-5.0 * t)), one_way(np.exp(-t) * np.cos(9.0 * t))
     (True, False, False)
@@ -100,8 +98,6 @@ def one_way(values: Floats) -> bool:
 def only_decays(values: Floats) -> bool:
     """Whether a channel falls to zero, or part of the way, without turning back.
 
-    Examples
-    --------
     >>> t = np.linspace(0.0, 3.0, 200)
     >>> only_decays(np.exp(-t)), only_decays(-np.exp(-t)), only_decays(np.exp(-t) * np.cos(9.0 * t))
     (True, True, False)

@@ -33,8 +33,6 @@ LEAST_ABOVE = 20
 def listed(names: Sequence[str] | str) -> list[str]:
     """Names as a list; a single string is split at its commas.
 
-    Examples
-    --------
     >>> listed("x, acc [g]")
     ['x', 'acc [g]']
     """
@@ -45,8 +43,6 @@ def listed(names: Sequence[str] | str) -> list[str]:
 class Headers:
     """Names of columns: as written, as cleaned, and their units.
 
-    Examples
-    --------
     >>> headers = Headers.parse(["Time [s]", "x (mm)"], "run.csv")
     >>> headers.find("Time [s]"), headers.find("Time"), headers.time
     (0, 0, 0)

@@ -121,8 +121,6 @@ def _shortest_period(times: Sequence[Floats], stretches: Sequence[Floats], step:
 def counts_rows(record: Record) -> bool:
     """Whether the time of a record is the number of the row.
 
-    Examples
-    --------
     >>> [counts_rows(one) for one in with_row_numbers([Record({"x": [1.0, 2.0, 3.0, 5.0, 6.0, 7.0]})])]
     [True]
     """

@@ -32,8 +32,6 @@ def terms_of(library: Any, names: Sequence[str]) -> list[str]:
     InputError: a library that cannot be fitted to these channels, or a feature whose name is no term, or that does not
     have the values which its name says.
 
-    Examples
-    --------
     >>> class Squares:
     ...     def fit(self, x): return self
     ...     def transform(self, x): return np.asarray(x) ** 2

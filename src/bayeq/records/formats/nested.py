@@ -103,8 +103,6 @@ def _about(node: Mapping[str, Any]) -> dict[str, Any]:
 def step_of(name: str, value: Any) -> float | None:
     """The time step [s] that a number named so is; None if it is no positive number.
 
-    Examples
-    --------
     >>> step_of("dt", 0.5), step_of("fs", [4]), step_of("fs", "fast")
     (0.5, 0.25, None)
     """
