@@ -27,15 +27,11 @@ from bayeq.records.io import near_files
 
 
 class Family(NamedTuple):
-    """A row of `FAMILIES`.
+    """A row of `FAMILIES`."""
 
-    `terms` makes their texts from `Variables` and the text after the colon, or None; `argument` says what the number
-    after the colon is, empty for a family that takes none; `by_equation` is whether each equation has terms of its own.
-    """
-
-    terms: Callable[[Variables, str | None], list[str]]
-    argument: str = ""
-    by_equation: bool = False
+    terms: Callable[[Variables, str | None], list[str]]  # their texts; None where nothing is after the colon
+    argument: str = ""  # what the number after the colon is; empty for a family that takes none
+    by_equation: bool = False  # whether each equation has terms of its own
 
 
 _OWN = {

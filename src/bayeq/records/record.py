@@ -32,12 +32,8 @@ if TYPE_CHECKING:
 
 def frozen_array(values: Any) -> Floats:
     """A read-only float64 array: the one given if it is frozen, else a copy."""
-    if (
-        isinstance(values, np.ndarray)
-        and values.dtype == np.float64
-        and values.flags.c_contiguous
-        and _is_frozen(values)
-    ):
+    plain = isinstance(values, np.ndarray) and values.dtype == np.float64 and values.flags.c_contiguous
+    if plain and _is_frozen(values):
         return values
     array = np.array(values, dtype=np.float64, order="C")
     array.setflags(write=False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import NamedTuple, TypeVar
@@ -357,17 +358,13 @@ def split(line: str, delimiter: str | None) -> list[str]:
     >>> split('"a, b", 2,', ","), split("t [s]  x", None)
     (['a, b', '2', ''], ['t', '[s]', 'x'])
     """
-    if '"' in line and delimiter is not None:
-        try:
-            return [
-                cell.strip()
-                for cell in next(csv.reader([line.strip(" \r\n")], delimiter=delimiter, skipinitialspace=True))
-            ]
-        except (csv.Error, StopIteration):  # a cell beyond the csv module's limit
-            return [cell.strip() for cell in line.split(delimiter)]
     if delimiter is None:
         return [cell.strip('"') for cell in line.split()]
-    return [cell.strip() for cell in line.strip(" \r\n").split(delimiter)]
+    cells = line.strip(" \r\n").split(delimiter)
+    if '"' in line:
+        with suppress(csv.Error, StopIteration):  # a cell beyond the csv module's limit
+            cells = next(csv.reader([line.strip(" \r\n")], delimiter=delimiter, skipinitialspace=True))
+    return [cell.strip() for cell in cells]
 
 
 def fitted(cells: list[str], width: int) -> list[str] | None:
