@@ -33,7 +33,10 @@ def of_first_order(guess: Guess, clues: Mapping[str, Clue], record: Record) -> G
     by_force = any(clues[name].by_unit for name in guess.inputs)
     if (guess.chains or by_force) if speed is None else len(guess.chains) > 1:
         return guess
-    bare = _without_prefix([*guess.undecided, *guess.inputs])
+    # without what stands before the last underscore in all: u and i of meas_u and meas_i
+    names = [*guess.undecided, *guess.inputs]
+    shared = len(names) > 1 and len({name.rpartition("_")[0] for name in names}) == 1
+    bare = {name: name.rpartition("_")[2] if shared else name for name in names}
     alike = [
         name
         for name in bare
@@ -76,12 +79,6 @@ def _questions(states: Sequence[str], applied: Sequence[str], unknown: Sequence[
     if applied:
         out.append(f"what is applied is an input, what follows a state; the other way round: {' '.join(other)}")
     return out
-
-
-def _without_prefix(names: Sequence[str]) -> dict[str, str]:
-    """Names without what stands before the last underscore in all: u and i of meas_u and meas_i."""
-    shared = len(names) > 1 and len({name.rpartition("_")[0] for name in names}) == 1
-    return {name: name.rpartition("_")[2] if shared else name for name in names}
 
 
 def one_way(values: Floats) -> bool:

@@ -105,11 +105,6 @@ class Truth:
         ----------
         rows : slice, (n,) bool array or array of int
             Which rows.
-
-        Returns
-        -------
-        Truth
-            Of these rows.
         """
         return replace(self, clean={name: values[rows] for name, values in self.clean.items()})
 
@@ -343,11 +338,6 @@ class Record:
         start, stop, step : int, optional
             Row numbers from 0, as of a slice.
 
-        Returns
-        -------
-        Record
-            Of these rows.
-
         Examples
         --------
         >>> Record({"x": [1.0, 2.0, 3.0]}).slice(1)["x"]
@@ -362,11 +352,6 @@ class Record:
         ----------
         rows : slice, (n,) bool array or array of int
             Which rows.
-
-        Returns
-        -------
-        Record
-            Of these rows.
         """
         channels = {name: values[rows] for name, values in self.channels.items()}
         time = None if self.time is None else self.time[rows]
@@ -404,11 +389,6 @@ class Record:
         ----------
         name : str
             The new name.
-
-        Returns
-        -------
-        Record
-            With the same samples.
         """
         return replace(self, name=name)
 
@@ -423,11 +403,6 @@ class Record:
             Samples by name.
         units : mapping of str to str, optional
             Units by name.
-
-        Returns
-        -------
-        Record
-            With the channels that there were and these.
         """
         kept = {name: unit for name, unit in self.units.items() if name not in mapping}
         channels = {**self.channels, **mapping}
@@ -463,11 +438,6 @@ class Record:
         ----------
         other : Record
             The record that is compared; anything else is not equal.
-
-        Returns
-        -------
-        bool
-            Whether they are equal, sample by sample.
         """
         if not isinstance(other, Record) or self.names != other.names or self.units != other.units:
             return False
