@@ -12,19 +12,9 @@ import numpy as np
 
 from bayeq.arrays import Floats
 from bayeq.errors import RecordError, UnknownNameError, require_kind
+from bayeq.records import validate
 from bayeq.records.columns import Columns, Headers, Request, assemble
 from bayeq.records.names import conversion, unit_of_clock
-from bayeq.records.validate import (
-    as_column,
-    as_time,
-    check_name,
-    check_time,
-    checked_units,
-    even_step,
-    time_from,
-    trial_starts,
-    usual_step,
-)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -164,9 +154,9 @@ class Record:
             raise RecordError(f"{where}: no channels")
         channels = {}
         for name, values in self.channels.items():
-            check_name(name, where)
-            channels[name] = frozen_array(as_column(values, f"channel {name!r}", where))
-        time = None if self.time is None else frozen_array(as_time(self.time, where))
+            validate.check_name(name, where)
+            channels[name] = frozen_array(validate.as_column(values, f"channel {name!r}", where))
+        time = None if self.time is None else frozen_array(validate.as_time(self.time, where))
         lengths = {name: len(values) for name, values in channels.items()}
         if time is not None:
             lengths = {"time": len(time), **lengths}
@@ -177,8 +167,8 @@ class Record:
         if n == 0:
             raise RecordError(f"{where}: no rows")
         if time is not None:
-            check_time(time, where)
-        units = checked_units(self.units, channels, time is not None, where)
+            validate.check_time(time, where)
+        units = validate.checked_units(self.units, channels, time is not None, where)
         for name, values in (self.truth.clean if self.truth else {}).items():
             if values.shape != (n,):
                 raise RecordError(f"{where}: the clean channel {name!r} has shape {values.shape}, not ({n},)")
@@ -226,7 +216,7 @@ class Record:
         require_kind({} if mapping is None else mapping, Mapping, "channels", "a mapping such as {'x': [...]}")
         require_kind(name, str, "the name of a record", "text")
         every = {**(mapping or {}), **channels}
-        return cls(every, time_from(every, time, fs, name or "record"), {} if units is None else units, name)
+        return cls(every, validate.time_from(every, time, fs, name or "record"), {} if units is None else units, name)
 
     @classmethod
     def from_dataframe(
@@ -306,7 +296,7 @@ class Record:
         """
         if self.time is None or self.n < 2:
             return None
-        return even_step(self.time) or usual_step(self.time)
+        return validate.even_step(self.time) or validate.usual_step(self.time)
 
     @property
     def fs(self) -> float | None:
@@ -328,7 +318,7 @@ class Record:
 
     def is_uniform(self) -> bool:
         """Whether all time steps are the same to a thousandth; False without time."""
-        return self.time is not None and (self.n < 2 or even_step(self.time) is not None)
+        return self.time is not None and (self.n < 2 or validate.even_step(self.time) is not None)
 
     def slice(self, start: int | None = None, stop: int | None = None, step: int | None = None) -> Record:
         """Rows from `start` up to `stop`, as Python slices.
@@ -378,7 +368,7 @@ class Record:
             kept = replace(self, channels=channels, units=units)
         else:
             labels = group(self) if callable(group) else group
-        starts = trial_starts(labels, self.n, self.name or "record")
+        starts = validate.trial_starts(labels, self.n, self.name or "record")
         trials = [kept.slice(a, b) for a, b in zip(starts, [*starts[1:], self.n], strict=True)]
         return [r.renamed(f"{self.name} [trial {i}]".strip()) for i, r in enumerate(trials)]
 
