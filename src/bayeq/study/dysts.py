@@ -1,12 +1,9 @@
-"""The 70 polynomial chaotic systems of Kaptanoglu et al. (arXiv 2302.10787) from noisy states, all monomials offered.
+"""The 70 polynomial chaotic systems of Kaptanoglu et al. (arXiv 2302.10787), by their protocol (docs/benchmarks.md).
 
-Their protocol: five trajectories of a system from random places on its attractor, 1000 points each, 100 to a period;
-white noise whose standard deviation is a share of the root mean square of all states together; monomials to degree 4.
-E is the error of the coefficient matrix in the spectral norm, relative to the true one. Methods: ``bayeq``, told
-nothing but the states; ``bayeq told``, which knows the true terms, as a lower bound of E; PySINDy's ``stlsq``, from
-smoothed differences and in ``weak`` form, with the threshold that is best by AICc of clean derivatives of further
-trajectories, the paper's rule, or by E itself, the oracle. MIOSR needs a solver that is sold: its published figures
-stand beside.
+Methods: ``bayeq``, which knows nothing but the states; ``bayeq told``, which knows the true terms, as a lower bound of
+the error E; PySINDy's ``stlsq``, from smoothed differences and in ``weak`` form, with the threshold that is best by
+AICc of clean derivatives of further trajectories, the paper's rule, or by E itself, the oracle. MIOSR needs a solver
+that is sold: its published figures stand beside.
 """
 
 from __future__ import annotations

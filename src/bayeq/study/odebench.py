@@ -1,12 +1,10 @@
-"""ODEBench, the 63 systems of d'Ascoli et al. (arXiv 2310.05573): one noisy trajectory each, from two initial states.
+"""ODEBench, the 63 systems of d'Ascoli et al. (arXiv 2310.05573), by their protocol (docs/benchmarks.md).
 
-Their protocol: t = 0 to 10 at 512 points, or a share of them dropped at random; noise in proportion to every value, or
-("added") white of the same share of each state's standard deviation. An equation is scored by its free run from the
-clean first state, R2 > 0.9 against the clean trajectory (states weighted by their variance), and by the one from the
-initial state that it has not seen. An answer of which an equation is ``none`` has failed. Dictionaries: "blind", all
-monomials to degree 3; "informed", monomials to the system's own degree, at least 2, and its other functions, constants
-inside them unknown where they are. Methods: ``bayeq``; ``proportional``, told that the noise is a share of the reading;
-and PySINDy's ``stlsq`` with the authors' grid, of which the last 30 % of the trajectory choose.
+An equation is scored by its free runs from the clean first state and from the initial state that it has not seen: R2
+of all states together. Dictionaries: "blind", all monomials to degree 3; "informed", monomials to the system's own
+degree, at least 2, and its other functions, constants inside them unknown where they are. Methods: ``bayeq``;
+``proportional``, which knows that the noise is a share of the reading; and PySINDy's ``stlsq`` with the authors' grid,
+of which the last 30 % of the trajectory choose.
 """
 
 from __future__ import annotations

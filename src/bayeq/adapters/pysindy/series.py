@@ -1,19 +1,10 @@
 """Rows of a library and a target as a time series: the Gram that allows for errors of the numerical derivative.
 
-An optimizer of PySINDy is given the library matrix and the derivatives, in order of time, and not how these were made.
-Two things are known of any of them all the same.
-
-Central differences, and any other symmetric filter, give z = (1 + a_2 d2 + a_4 d4 + ...) x', where d2 is the second
-difference from row to row. So x' = z - b_2 d2 z - b_4 d4 z - ..., with coefficients of the size of those that complete
-central differences to the derivative, 1/6, 1/30, 1/140. Differences of the target are put beside the candidates with
-these as prior standard deviations, and integrated out. They are of the fitted target, not of the target, whose noise
-they would share: two-stage least squares.
-
-Noise of a derivative grows with frequency, and a smoothed motion holds nothing of the signal where noise was above it.
-So the regression is one of the bins below the frequency at which the target comes near to the residual, each weighted
-by the inverse of the residual's density, which is taken never to fall with frequency: the equation holds for any
-linear transform of both sides, and the bins of tapered columns have independent residuals, each with a variance of its
-own, so that these weights are efficient and the intervals honest (generalised least squares; Hannan 1963).
+An optimizer of PySINDy is not told how the derivatives were made; docs/method/regression.md says what is known of any.
+Differences that complete them are candidates, integrated out: those of the fitted target, for the target's own would
+share its noise (two-stage least squares). The regression is one of the bins below the frequency at which the target
+comes near to the residual, weighted by the inverse of the residual's density, which is taken never to fall with
+frequency: bins of tapered columns have independent residuals (generalised least squares; Hannan 1963).
 """
 
 from __future__ import annotations
