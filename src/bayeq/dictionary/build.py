@@ -52,12 +52,7 @@ MOST_UNKNOWN = 3
 
 
 def build_dictionary(specification: str | Sequence[str], variables: Variables) -> tuple[Expression, ...]:
-    """Candidate terms, in these states and inputs.
-
-    The specification is ``oscillator`` (eq. (31)), ``polynomial:3``, ``fourier:2``, ``neighbours``, a file with one
-    term per line (``#`` starts a comment), or terms separated by commas; a union of families and terms, ``oscillator +
-    sin(x) - x**5``, which leaves out the term behind a minus; or a list of families, unions and terms. Text is divided
-    at + and - where one of the parts is a family: ``x + v`` is one term.
+    """Candidate terms in these states and inputs, of a specification as docs/terms.md has it or of a list of such.
 
     InputError: neither a family, nor a file, nor terms; a malformed or forbidden term; a term given twice; no terms.
 
@@ -93,11 +88,8 @@ def build_dictionaries(
 ) -> tuple[tuple[Expression, ...], Bools]:
     """Candidate terms of several equations: the P terms of all together, and (C, P) which of them each may have.
 
-    The specification is as for `build_dictionary`, the same for every equation; or one for each by its target, ``{"a1":
-    "oscillator", "a2": "polynomial:3"}`` or ``"a1: oscillator; a2: polynomial:3"``. Chains of the variables are in the
-    order of the C targets.
-
-    InputError: as `build_dictionary`; a target that is not there, or that has no dictionary.
+    The specification is the same for every equation, or one for each by its target; chains of the variables are in the
+    order of the C targets. InputError: as `build_dictionary`; a target that is not there, or that has no dictionary.
     """
     require_kind(specification, Iterable, "dictionary", "text, a list of terms, or a mapping of these")
     given = of_equations(specification, targets)

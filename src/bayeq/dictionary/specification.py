@@ -102,8 +102,6 @@ def without_names(text: str, names: Set[str], families: Set[str]) -> str:
 def of_equations(specification: Specification, targets: Sequence[str]) -> dict[str, str | Sequence[str]] | None:
     """The dictionary of each equation, by its target; None where all have the same.
 
-    Text may be ``"a1: oscillator; a2: polynomial:3"``.
-
     InputError: a target that is not there, given twice, or without a dictionary.
     """
     if isinstance(specification, Mapping):

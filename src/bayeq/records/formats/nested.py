@@ -1,8 +1,4 @@
-"""Files that hold many arrays: each is a channel named by its path, and a record takes those of one length.
-
-A path is written ``rec.acc.data`` (fields, groups), ``Y_id[0]`` (cells, datasets in order, counted from 0) and
-``Y_id[0].0`` (the first row of a matrix; its first column where it has more rows than columns).
-"""
+"""Files of many arrays: each is a channel, named by its path (docs/files.md); a record takes those of one length."""
 
 from __future__ import annotations
 
