@@ -138,9 +138,6 @@ def _even_pieces(values: Floats, time: Floats | None, step: float | None, even: 
     return out
 
 
-# --- spectra ---------------------------------------------------------------------------------------------------------
-
-
 def spectrum(pieces: Sequence[Floats], step: float) -> Spectrum | None:
     """Spectrum of stretches of one channel at even steps of time [s], without NaN; None of short or constant ones."""
     longest = max((len(piece) for piece in pieces), default=0)
