@@ -124,10 +124,7 @@ def build_dictionaries(
 
 
 def _apart(terms: Sequence[Expression], targets: Sequence[str], allowed: Bools) -> Bools:
-    """Which terms each equation may have: none has its own target on its right-hand side.
-
-    InputError: a term that is not proportional to the one target in it, or that no equation may have.
-    """
+    """Which terms each equation may have: none has its own target; InputError for one that no equation may have."""
     out = allowed.copy()
     for j, term in enumerate(terms):
         try:
@@ -206,10 +203,7 @@ def _not_a_dictionary(text: str, variables: Variables, error: InputError) -> Inp
 
 
 def read_terms(path: str | Path) -> list[tuple[str, str]]:
-    """Terms of a file, one per line, each with the place it stands at; ``#`` starts a comment.
-
-    FileFormatError: a file that is missing, too large or not text.
-    """
+    """Terms of a file, one per line, each with the place it stands at; ``#`` starts a comment."""
     path = Path(path)
     try:
         if path.stat().st_size > MAX_FILE_BYTES:

@@ -100,10 +100,7 @@ def without_names(text: str, names: Set[str], families: Set[str]) -> str:
 
 
 def of_equations(specification: Specification, targets: Sequence[str]) -> dict[str, str | Sequence[str]] | None:
-    """The dictionary of each equation, by its target; None where all have the same.
-
-    InputError: a target that is not there, given twice, or without a dictionary.
-    """
+    """The dictionary of each equation, by its target, or an InputError; None where all have the same."""
     if isinstance(specification, Mapping):
         found = [(str(target), one) for target, one in specification.items()]
     elif isinstance(specification, str) and (

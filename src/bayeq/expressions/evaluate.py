@@ -39,9 +39,8 @@ class Evaluator:
     """Evaluates expressions on columns; every sub-expression is computed once.
 
     Columns are the channels (arrays of one common shape, usually ``(n,)``) and parameters (floats) by name; InputError
-    if the arrays differ in shape. Results are read-only, since later results may share them; all intermediate results
-    live as long as the evaluator. Numerical trouble (division by zero, overflow, the logarithm of a negative number)
-    gives non-finite values and no warning: the caller judges. ``sign(0)`` is 0.
+    if the arrays differ in shape. Results are read-only, since later results may share them. Numerical trouble
+    (division by zero, overflow, the logarithm of a negative number) gives non-finite values and no warning.
 
     >>> from bayeq.expressions import parse
     >>> evaluate = Evaluator({"x": [1.0, 2.0, 3.0], "k": 2.0})

@@ -404,7 +404,6 @@ def run_study(
     Systems, algorithms and realisations may be added later; without `config` it is the paper's protocol with seed 0.
     `jobs` processes compute, with 1 this one alone, or the workers of a Dask `client`, a `batch` at a time, by default
     what takes a quarter of a second. `progress` is called with (realisations done, these and the missing ones).
-
     InputError for what cannot be used, or a store of another configuration; BayeqError where a worker was killed.
     """
     config = config or StudyConfig()

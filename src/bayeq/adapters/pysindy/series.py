@@ -72,11 +72,10 @@ class Band:
 
 
 def pieces_of(Z: Floats, gaps: Bools) -> list[slice] | None:
-    """Uninterrupted pieces of rows of a library (n, P), or None where they are no resolved time series.
+    """Uninterrupted pieces of rows of a library (n, P); gaps (n,) are rows that do not follow on the one before.
 
-    Gaps (n,) are rows that do not follow on the one before. None where fewer than half of the rows are in pieces of 64
-    rows, or the columns change more from row to row than at about six rows per period: samples in no order, or
-    subdomains of a weak form.
+    None where fewer than half of the rows are in pieces of 64 rows, or the columns change more from row to row than at
+    about six rows per period: samples in no order, or subdomains of a weak form.
     """
     step = np.linalg.norm(np.diff(Z, axis=0), axis=1)
     padded = np.concatenate([[0.0], step, [0.0]])
@@ -92,10 +91,7 @@ def pieces_of(Z: Floats, gaps: Bools) -> list[slice] | None:
 
 
 def row_gram(Z: Floats, t: Floats, w: Floats, floor: float) -> Gram:
-    """Uncentred statistics of rows that are no time series, white noise of standard deviation `floor` added.
-
-    Library (n, P), target (n,) and weights (n,), how often each row counts.
-    """
+    """Uncentred statistics of rows in no order, each counted `w` (n,) times, with white noise of sd `floor` added."""
     columns = np.column_stack([Z, t])
     found = _uncentred((columns * w[:, None]).T @ columns, float(w.sum()))
     return replace(found, yty=found.yty + found.n * floor**2)
@@ -122,11 +118,7 @@ def series_grams(Z: Floats, T: Floats, pieces: Sequence[slice], floors: Floats) 
 def _with_differences(
     Z: Floats, pieces: Sequence[slice], library: Sequence[Floats], t: Sequence[Floats], highest: float
 ) -> list[Band]:
-    """Library, differences and target of each piece in the band.
-
-    The differences are not of the target itself, whose noise they would share, but of what all columns, differences
-    among them, give of it: two-stage least squares, in turn.
-    """
+    """Library, differences and target of each piece in the band; differences are of what all columns give of it."""
     bands = [to_band(D, y, highest) for D, y in zip(library, t, strict=True)]
     fitted = [Z[p] @ _least_squares(bands) for p in pieces]
     for _ in range(TURNS):
@@ -196,10 +188,7 @@ def _band_end(D: Sequence[Floats], t: Sequence[Floats]) -> float:
 
 
 def taper(n: int, memory: float = 0.0) -> Floats:
-    """Window that rises from 0 to 1 with three continuous derivatives at either end.
-
-    It does so over 1/40 of the rows, or 16, or over four times the `memory` in rows, whichever is most.
-    """
+    """Window that rises from 0 to 1 with three continuous derivatives at either end; `memory` is in rows."""
     length = max(LEAST_TAPER, round(TAPERED * n), round(min(MEMORY * memory, MOST_TAPERED * n)))
     s = np.clip(np.minimum(np.arange(n), n - 1 - np.arange(n)) / length, 0.0, 1.0)
     return np.asarray(s**4 * (35.0 - 84.0 * s + 70.0 * s**2 - 20.0 * s**3))
@@ -244,10 +233,7 @@ def _uncentred(products: Floats, n: float) -> Gram:
 
 
 def residual_spectrum(bands: Sequence[Band], coef: Floats) -> list[Floats]:
-    """Variance in each bin of the residual that coefficients (P,) leave.
-
-    It is the periodogram, averaged over neighbouring frequencies of all pieces.
-    """
+    """Variance in each bin of the residual of coefficients (P,): its periodogram, averaged over neighbouring bins."""
     power = [np.abs(band.columns[:, -1] - band.columns[:, :-1] @ coef) ** 2 for band in bands]
     order = np.argsort(np.concatenate([band.frequency for band in bands]), kind="stable")
     values = np.concatenate(power)[order]
