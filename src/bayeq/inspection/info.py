@@ -28,8 +28,8 @@ from bayeq.inspection.links import (
 )
 from bayeq.inspection.roles import INPUT, REFERENCE, Guess, clues_of, guess_roles, names_level
 from bayeq.inspection.rows import Experiments, find_bad, gaps_of, sort_rows, starts_from_rest
-from bayeq.records import Record, as_record, check_record, read, without_copies
-from bayeq.records.findings import Finding
+from bayeq.records import Record, as_record, check_record, read
+from bayeq.records.findings import Finding, without_copies
 from bayeq.records.formats.nested import SHORT
 from bayeq.records.names import is_time_name, time_unit
 from bayeq.records.record import with_only
