@@ -91,18 +91,14 @@ def draw(name: str, noise: float, seed: int) -> list[Record]:
 def measure(cell: Cell, seed: int) -> Outcome:
     """The outcome of a cell (system, noise in per cent, method) for a seed."""
     name, noise, method = str(cell[0]), float(cell[1]), str(cell[2])
-    if method.startswith("bayeq"):
-        return _bayeq(name, noise, seed, told=method.endswith("told"))
-    return _stlsq(name, noise, seed, weak=method == "weak")
-
-
-def _bayeq(name: str, noise: float, seed: int, told: bool) -> Outcome:
+    if not method.startswith("bayeq"):
+        return _stlsq(name, noise, seed, weak=method == "weak")
     from bayeq.discovery import discover
 
     system, laws = _system(name)
     records = draw(name, noise, seed)
     how: dict[str, Any] = {"dictionary": f"polynomial:{DEGREE}"}
-    if told:
+    if method == "bayeq told":
         own = {f"d{s}": [t for t in law if t != CONSTANT] for s, law in zip(system.states, laws, strict=True)}
         # an equation without candidates beside its constant is offered one
         how["dictionary"] = {target: terms or [system.states[0]] for target, terms in own.items()}
