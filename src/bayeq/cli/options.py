@@ -182,7 +182,7 @@ class Names:
 
     def name(self, text: str) -> str:
         """The name of a channel, whose path is kept."""
-        from bayeq.records import clean_name
+        from bayeq.records.names import clean_name
 
         mark = "~" if text.strip().startswith("~") else ""
         bare = text.strip().removeprefix("~")

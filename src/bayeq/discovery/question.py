@@ -40,8 +40,10 @@ from bayeq.likelihood.layout import Stated
 from bayeq.likelihood.record_fit import RecordFit, refit_record
 from bayeq.likelihood.unknowns import first_values
 from bayeq.numerics.settings import LIKELIHOOD, SELECTION
-from bayeq.records import UNKNOWN_TIME, Record, check_messages, counts_rows, without_copies
+from bayeq.records import Record, counts_rows
+from bayeq.records.findings import check_messages, without_copies
 from bayeq.records.record import in_one_unit
+from bayeq.records.repair import UNKNOWN_TIME
 from bayeq.regression.constraints import CONSERVED, Constraints, parse_constraints, parse_ties
 from bayeq.regression.design import Design, build_design, screened
 from bayeq.regression.fit import fit_equations, record_of, sensors_of_design

@@ -10,9 +10,10 @@ from bayeq.arrays import Bools, Floats, Ints
 from bayeq.errors import InputError, RecordError, in_digits
 from bayeq.expressions.parse import EARLIER
 from bayeq.numerics.settings import RECORDS, STATES
-from bayeq.records import SAMPLES, Record, correct_delay, split_at_gaps
+from bayeq.records import Record, correct_delay
 from bayeq.records.findings import equal_runs
 from bayeq.records.record import with_only, with_samples
+from bayeq.records.repair import SAMPLES, split_at_gaps
 from bayeq.records.validate import even_step, is_step
 from bayeq.states.bad_samples import Learned, listed, without_bad_samples
 from bayeq.states.derive import LARGEST, Smooth, require_usable
