@@ -64,10 +64,7 @@ class Block:
 
 
 def block_of(task: Task, state: State, pieces: Sequence[MotionRows]) -> Block:
-    """The likelihood of smoothed rows given coefficients, levels and prior of a fit, about the likeliest path there.
-
-    The fit is to other rows of the same system.
-    """
+    """The likelihood of smoothed rows about the likeliest path there, given a fit to other rows of the same system."""
     power, segments = _power(task, pieces)
     size, r = len(task.precision), len(state.theta)
     nothing = Block(
@@ -199,10 +196,7 @@ def curvature(task: Task, state: State) -> Curvature:
 
 
 def _slopes(task: Task, state: State) -> tuple[Floats, Floats, Floats]:
-    """Slopes of the log likelihood by all candidates and by levels; log standard deviations of the coefficients.
-
-    Record by record, which takes little memory.
-    """
+    """Slopes of the log likelihood, record by record, by all candidates and by levels; log sds of the coefficients."""
     theta, included = coefficients(task.layout, state), task.number(state.chosen)
     by_candidates, by_levels = np.zeros(len(theta)), np.zeros(len(state.levels.free))
     H = np.diag(task.precision[included])
@@ -222,8 +216,7 @@ def _slopes(task: Task, state: State) -> tuple[Floats, Floats, Floats]:
 def relearned(task: Task, state: State, block: Block, curve: Curvature) -> tuple[Task, State, Quadratic, float]:
     """Corners from the spectra of all rows; levels by a Newton step on their likelihood, coefficients solved along.
 
-    The block is of all rows, about the task's fit; the curvature of those that were fitted. Also the likelihood of all
-    candidates there, and how far the logarithm of a noise level, a corner or a standard deviation has moved, at most.
+    Also the likelihood of all candidates there, and how far the logarithm of a level or deviation has moved, at most.
     """
     layout, levels, theta = task.layout, state.levels, coefficients(task.layout, state)
     spectra = [of_segments(power, block.segments, SEGMENT) for power in block.power]

@@ -190,7 +190,6 @@ def log_mean(log_of: Callable[[float], float], low: float, high: float, peak: fl
     """ln of the mean of a positive function between two numbers, and where it was largest, given the place of a peak.
 
     By the trapezoidal rule, intervals halved beside the largest value until it changes by less than `size_step` there.
-    From the peak outwards: below it no further than to where the function is level, above it to where it is nothing.
     """
     peak = min(max(peak, low), high)
     grid = np.linspace(low, high, LIKELIHOOD.discrepancy_sizes).tolist()
@@ -240,8 +239,8 @@ def maximised(
 ) -> tuple[Levels, Statistics]:
     """Levels that maximise the marginal likelihood of a linearised model; those `held`, or known, stay.
 
-    The search moves each number in units of the standard deviation that it would have if nothing else were unknown,
-    until a step gains no more than `tolerance` nats, or the slope by every such unit is at most `steepest`.
+    The search ends where a step gains no more than `tolerance` nats, or the slope by each level, in units of its
+    standard deviation if nothing else were unknown, is at most `steepest`.
     """
     levels = state.levels
     low, high = levels.bounds

@@ -158,10 +158,7 @@ class Layout:
         return self.driven + self.widths - 1
 
     def feedback(self, k: int, intervals: Floats) -> Floats:
-        """Factors of the states of input k that give the mean of its highest derivative after a sample.
-
-        A random sequence goes straight back to its mean until the next sample.
-        """
+        """Factors of the states of input k that give the mean of its highest derivative after a sample."""
         if self.smoothness[k] == 0:
             return np.column_stack([-1.0 / intervals, np.zeros(len(intervals))])
         return feedback(int(self.widths[k]), self.corners[k], intervals)
@@ -269,7 +266,7 @@ class Layout:
         ).copy()
 
     def tape(self, chosen: Candidates) -> Tape:
-        """Rates of the states (of maps next values), targets, chosen terms, in states, t, widths and coefficients.
+        """Rates of states (of maps next values), targets and chosen terms, in states, t, widths and coefficients.
 
         Of implicit equations the targets without discrepancies and (I - A)^-1 follow.
         """

@@ -112,10 +112,8 @@ class Levels:
 
     @property
     def longest(self) -> Floats:
-        """Longest memory of each discrepancy, (C,); the own time is a coordinate's spread over that of its rate.
-
-        That of a static law is the shortest of the inputs and of other chains.
-        """
+        """Longest memory of each discrepancy, (C,), by the own time of its chain, a coordinate's spread over that of
+        its rate; of a static law the shortest of the inputs and of other chains."""
         layout, times = self.layout, []
         for c, chain in enumerate(layout.roles.chains):
             if chain.static:

@@ -70,8 +70,7 @@ def linearise(
 ) -> Linear:
     """The model of a record about a path, (n, S), and the coefficients `theta`, (r,), of the chosen candidates.
 
-    The widths of jumps, `blur`, are by default those between samples. `substeps` are Runge-Kutta steps between two
-    samples; more, `jump_steps`, where a term of the model jumps.
+    `blur` are the widths of jumps, by default those between samples; `substeps` Runge-Kutta steps between two samples.
     """
     n, size, chains = len(path), layout.size, layout.chains
     blur = first_blur(layout, series, path, substeps) if blur is None else blur
@@ -247,8 +246,8 @@ def _to_mean(layout: Layout, intervals: Floats, end: Floats, transition: Floats)
 def terms_along(
     layout: Layout, path: Floats, inputs: Floats, chosen: Candidates, theta: Floats
 ) -> tuple[Floats, Floats]:
-    """Candidates and the constant at the states of a path, (n, P + 1), what is given (n, m, 4) with widths of jumps;
-    (I - A)^-1, (n, C, C), of implicit equations, of others empty."""
+    """Candidates and the constant at the states of a path, (n, P + 1), what is given (n, m, 4) with widths of jumps; (I
+    - A)^-1, (n, C, C), of implicit equations."""
     columns = dict(zip(layout.names, np.asfortranarray(path).T, strict=True))
     columns |= dict(zip((*layout.given, *layout.jump_widths), inputs[:, :, 0].T, strict=True))
     coupling = np.zeros((0, layout.chains, layout.chains))

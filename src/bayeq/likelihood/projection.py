@@ -53,9 +53,8 @@ def leftover(
 ) -> Leftover:
     """Sums over batches, which do not cross records.
 
-    Columns, (n, r) each, are the terms along the smoothed path of each record, the constant among them if it is in the
-    equation; discrepancies, (n,) each, are smoothed. A sample counts by the time around it, from the intervals [s].
-    `target` is the variance of the target.
+    Of columns, (n, r), and smoothed discrepancies, (n,), of each record; a sample counts by the time around it, from
+    the intervals [s]. `target` is the variance of the target.
     """
     weights = [time_around(one) for one in intervals]
     whole = sum((w[:, None] * D).T @ D for w, D in zip(weights, columns, strict=True))

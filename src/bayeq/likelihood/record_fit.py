@@ -104,10 +104,8 @@ class RecordFit:
         return max(float(scores[0] - scores[1]), 0.0)
 
     def of_more(self, task: Task, state: State, quadratic: Quadratic, block: Block) -> RecordFit:
-        """What the likelihood of more rows, about a fit to some of them, tells.
-
-        The state has levels of all rows; the quadratic is their likelihood there, and the block is of all of them.
-        """
+        """What the likelihood of more rows about a fit to some of them, a quadratic at a state with levels of all,
+        tells; the block is of all rows."""
         task = replace(task, series=self.task.series, counted=block.samples)
         state = replace(state, paths=self.fitted.state.paths)
         fitted = replace(self.fitted, expand=partial(replace, quadratic), state=state, tried={})
@@ -305,11 +303,8 @@ class RecordFit:
         )
 
     def judged(self, motion: Motion) -> Motion:
-        """The motion that equations are judged by, rows held out too: hidden states as the record tells them, and what
-        drifts in the samples of its channels taken out of them.
-
-        A derivative that is not measured is taken to be that of the coordinate without its drift, which is slow.
-        """
+        """The motion that equations are judged by, rows held out too: hidden states as the record tells them, drifts
+        taken out of the samples of channels."""
         layout = self.task.layout
         hidden = [name for chain in layout.roles.hidden for name in chain.states]
         motion = self.told(motion)
@@ -365,11 +360,9 @@ class RecordFit:
 
     @cached_property
     def standards(self) -> tuple[Standardised, ...]:
-        """The regression that the likelihood makes of each equation, in units of the priors and of the noise.
+        """The regression of each equation, others integrated out, in units of the priors and of the noise.
 
-        Its source is in original units, the constant estimated if it is in the model. The coefficients of the
-        model in the other equations are integrated out. Rows count so that the constant is known as well
-        as the mean of as many independent ones.
+        Rows count so that the constant of a model is known as well as the mean of as many independent ones.
         """
         return tuple(self._standard(c) for c in range(self.task.layout.chains))
 
@@ -491,10 +484,10 @@ def as_likely(task: Task, fitted: Fitted, others: Sequence[tuple[Task, Fitted]])
 def learned_sensors(
     motion: Motion, terms: Sequence[Expression], log_odds: Floats, grams: Sequence[Gram]
 ) -> tuple[Sensors, float]:
-    """Lags and factors of channels, as a first fit of a dictionary to the training rows of some motion finds them.
+    """Lags and factors of channels, as a first fit of a dictionary to the training rows of some motion finds them, and
+    how far the farthest is from what was taken out, in standard deviations; arguments as for `fit_record`.
 
-    Also how far the farthest is from what has been taken out, in standard deviations. Arguments are as for
-    `fit_record`; a LinAlgError says that the likelihood cannot be evaluated.
+    A LinAlgError says that the likelihood cannot be evaluated.
     """
     with np.errstate(all="ignore"):
         some, _ = _stretches(motion)
@@ -512,9 +505,8 @@ def refit_record(
 ) -> RecordFit | None:
     """Fit all rows of some motion, starting from what was found on the first rows of each record.
 
-    Where that leaves more of a discrepancy, by more than two standard errors, the search begins once more without it,
-    and the likelier answer is taken. Terms and Grams are those of `fit_record`, of all rows. None where the likelihood
-    cannot be evaluated.
+    Where that leaves more of a discrepancy the search begins once more, and the likelier answer is taken; None where
+    the likelihood cannot be evaluated.
     """
     try:
         with np.errstate(all="ignore"):
