@@ -112,8 +112,7 @@ class Question:
     def answer(self, records: Sequence[Record], because: str | None = None) -> tuple[Equations, WarningLog]:
         """The equations, and the warnings that go with them, `because` of the choice of the records among these.
 
-        An InputError refuses channels, terms or samples that cannot be used; NotStreamed says that stretches do not do
-        for what is asked.
+        NotStreamed says that stretches do not do for what is asked.
         """
         if self.differs:
             question, numbered = self._by_record(records)
@@ -237,8 +236,7 @@ class Question:
     ) -> tuple[RecordFit | None, tuple[str, ...], tuple[Constraints, ...]]:
         """The likelihood of the records, and what is known that holds, as text and of each equation.
 
-        It is compared with that without ties, in an equation too, which is taken where the record contradicts them. An
-        InputError says that only the likelihood of records in memory takes what is known.
+        It is compared with that without ties and equalities, which is taken where the record contradicts them.
         """
         dropped = {term.name: term.reason for term in design.dropped}
         if not self.conserved:

@@ -52,8 +52,7 @@ def _mixture_moments(
 ) -> tuple[Floats, Floats, Floats, float]:
     """Mean and second moment (P,) of theta, its second moments (Q, Q), and the mean of sigma^2 over weighted models.
 
-    `place` (P,) gives the place of each term among the Q = `count`, -1 where it has none. Each model's moments are
-    entries of the tableau swept on it; the flips lead from one model to the next.
+    `place` (P,) gives the place of each term among the Q = `count`, -1 where it has none.
     """
     terms = len(p.Dty)
     mean, square, second, noise = np.zeros(terms), np.zeros(terms), np.zeros((count, count)), 0.0
@@ -220,9 +219,7 @@ def _draw_given_signs(
 def sample_average(
     problem: Problem, average: ModelAverage, n: int, rng: np.random.Generator, limits: Floats | None = None
 ) -> tuple[Floats, Floats, NDArray[np.intp]]:
-    """Independent draws from the mixture: theta (n, P), sigma^2 (n,), and the model (n,) each came from.
-
-    sigma^2 | z, y is inverse-Gamma(h, s/2), theta | sigma^2, z, y Gaussian, eq. (33), on the columns of `problem`.
+    """Independent draws from the mixture: theta (n, P), sigma^2 (n,), and the model (n,) each came from, eq. (33).
 
     InputError: known signs or bounds that hardly any draw of a model has.
     """

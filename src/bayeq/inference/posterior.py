@@ -436,10 +436,7 @@ REACH = 9.0
 
 @kernel
 def _quantiles(weight: Floats, mean: Floats, sd: Floats, probability: Floats) -> Floats:
-    """Of mixtures of normal distributions, a row (K,) each, by bisection to rounding; NaN where nothing is asked.
-
-    Weights of a row sum to 1. A component of weight 0 is none, one of sd 0 is a point.
-    """
+    """Of mixtures of normal distributions, a row (K,) each, by bisection to rounding; NaN where nothing is asked."""
     out = np.full(len(probability), np.nan)
     for j in range(len(probability)):
         if not 0.0 < probability[j] < 1.0:

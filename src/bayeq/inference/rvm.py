@@ -88,10 +88,8 @@ def _shift_ridge(T: Tableau, j: int, delta: float) -> None:
 def rvm_ascent(
     columns: Columns, Dty: Floats, yty: float, dof: float, max_iter: int
 ) -> tuple[Floats, Tableau, float, int, bool]:
-    """Sequential maximisation of the marginal likelihood.
-
-    Returns gamma (P,), the swept tableau, the noise variance, the steps taken and whether it converged.
-    """
+    """Sequential maximisation of the marginal likelihood: gamma (P,), the swept tableau, the noise variance, the
+    steps taken and whether it converged."""
     p = len(Dty)
     T = build(columns, Dty, yty, 0.0)
     lam = np.full(p, math.inf)
@@ -133,14 +131,11 @@ def rvm_gamma(p: Problem) -> Floats:
 
 
 def rvm(gram: GramLike, prior: Prior | None = None, *, least_gamma: float = 0.0, max_iter: int = 10_000) -> Posterior:
-    """Relevance vector machine of a standardised Gram.
+    """Relevance vector machine of a standardised Gram, in at most `max_iter` add, re-estimate and delete steps.
 
     It learns its own prior; one is accepted so that all engines are called alike, and known signs are refused. Terms
-    whose gamma is not above `least_gamma` are taken out after convergence; 0 keeps all that the RVM keeps. `max_iter`
-    limits the number of add, re-estimate and delete steps.
-
-    `pip` holds gamma_i = 1 - alpha_i Sigma_ii, how well the data determine each weight: a measure of relevance, not a
-    probability. The support is what is left in the machine.
+    whose gamma is not above `least_gamma` are taken out after convergence. `pip` holds gamma_i = 1 - alpha_i Sigma_ii,
+    how well the data determine each weight: a measure of relevance, not a probability.
     """
     if prior is not None:
         prior.refuse_signs("rvm")

@@ -121,10 +121,7 @@ def stlsq(
 
     Terms with a smaller coefficient are dropped, in at most `max_iter` regressions. The ridge is added to the diagonal
     of D'D (PySINDy's alpha). `centred` estimates an intercept; otherwise the regression is on the raw columns as
-    PySINDy does. A prior is not used, and accepted so that all engines are called alike.
-
-    `pip` is 1 for a term that is in and 0 for one that is out: STLSQ has no probabilities. The covariance is that of
-    least squares on the chosen terms.
+    PySINDy does. A prior is not used. `pip` is 1 for a term that is in; the covariance is that of least squares.
     """
     del prior
     whole_number("max_iter", max_iter, 1)

@@ -117,8 +117,7 @@ def _digamma(x: float) -> float:
 def _inclusion_rate(p: Problem, w: Floats, log_odds: Floats) -> float:
     """q(p_0) = Beta(a + sum w, b + sum(1 - w)) over the free terms: writes E ln p_0 - E ln(1-p_0) of each.
 
-    Returns what p(z | p_0) p(p_0) adds to the ELBO then: ln B(a', b') - ln B(a, b). At binary w this is the
-    beta-binomial prior itself.
+    Returns what p(z | p_0) p(p_0) adds to the ELBO then: ln B(a', b') - ln B(a, b).
     """
     a, b = p.inclusion_beta[0], p.inclusion_beta[1]
     new_a, new_b = a, b
@@ -170,10 +169,9 @@ def _update_indicators(
 
 @kernel
 def vb_ascent(p: Problem, w: Floats, tau: float, tolerance: float, max_iter: int) -> Ascent:
-    """Coordinate ascent from inclusion probabilities `w` (changed in place) and noise precision `tau`.
+    """Coordinate ascent from inclusion probabilities `w` (changed in place) and noise precision `tau`, 0 for the best.
 
-    tau <= 0 asks for the precision that is optimal for `w`. Returns mu (P,), Sigma of the active terms, their
-    indices, a, b and the ELBO trace; the trace is empty if D'D is not positive semi-definite.
+    Returns mu (P,), Sigma of the active terms, their indices, a, b and the ELBO trace, empty if D'D is indefinite.
     """
     terms = len(w)
     shape = p.noise_shape + 0.5 * p.dof + 0.5 * terms

@@ -107,10 +107,10 @@ class Design:
 def build_design(
     terms: Sequence[Expression], motion: Motion, progress: Progress | None = None, allowed: Bools | None = None
 ) -> Design:
-    """Evaluate terms on motion and add up their Gram matrices.
+    """Evaluate terms on motion and add up their Gram matrices; `progress` is called with (rows done, rows in all).
 
-    `progress` is called with (rows done, rows in all); `allowed`, (C, P), are the candidates of each equation, by
-    default all. An InputError says that no candidate can be used, or that one cannot because of the unit of a channel.
+    `allowed`, (C, P), are the candidates of each equation, by default all. An InputError says that no candidate can be
+    used, or that one cannot because of the unit of a channel.
     """
     builder = _Builder(terms, motion, progress)
     train = builder.grams(motion.train, keep=sum(rows.n for rows in motion.train) * len(terms) <= MOST_KEPT)
@@ -246,10 +246,7 @@ def screened(terms: Sequence[Expression], motion: Motion, allowed: Bools, forced
 
 
 def explaining(D: Floats, y: Floats, free: Bools, basis: Floats, share: int) -> NDArray[np.intp]:
-    """Numbers of the columns that explain most of what a basis leaves of y, taken in rounds.
-
-    `share` of the `free` columns of D, (n, P), each of length 1 or 0, are taken; the basis, (n, q), is orthonormal.
-    """
+    """Numbers of the columns that explain most of what a basis (n, q) leaves of y: a share of the `free`, in rounds."""
     taken = np.zeros(0, dtype=np.intp)
     free, added, left = free.copy(), basis, y
     rest = np.ones(D.shape[1])  # squared length of what the basis leaves of each column

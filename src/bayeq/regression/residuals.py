@@ -144,10 +144,9 @@ def _both_ways(first: Sequence[Floats], second: Sequence[Floats], lags: int) -> 
 def _strongest(centred: Sequence[Floats], rho: Floats, channels: Mapping[str, Sequence[Floats]]) -> Driver | None:
     """The channel with the most significant cross-correlation.
 
-    Under independence the cross-correlations have variance 1/n sum rho_k rho'_k over all lags (Bartlett 1946), times
-    the mean of the products of both squares over the product of their means: after a blow both are large together
-    (White 1980). The largest is compared with a normal distribution, times the number of lags and channels that it was
-    chosen from.
+    Under independence these have variance 1/n sum rho_k rho'_k over all lags (Bartlett 1946), times the mean of the
+    products of both squares over the product of their means: after a blow both are large (White 1980). The largest is
+    compared with a normal distribution, times the number of lags and channels that it was chosen from.
     """
     n = sum(len(piece) for piece in centred)
     own = math.sqrt(sum(float(e @ e) for e in centred))
@@ -185,10 +184,7 @@ def _pilot(gram: Gram) -> Posterior:
 
 
 def without_noise(gram: Gram, noise: Mapping[int, float]) -> Gram:
-    """The Gram of rows without the known noise variances of columns that are inputs themselves.
-
-    It is in the residual all the same, times the square of the coefficient.
-    """
+    """The Gram of rows without the known noise variances of columns that are inputs; in the residual they stay."""
     removed = np.zeros(len(gram.names))
     for j, variance in noise.items():
         removed[j] = min(gram.n * variance, MOST_NOISE * gram.DtD[j, j])
@@ -205,10 +201,8 @@ def without_noise(gram: Gram, noise: Mapping[int, float]) -> Gram:
 def thinned_gram(gram: Gram, residuals: Callable[[Posterior], Residuals]) -> Gram:
     """The Gram of as many rows as the residuals are worth: where they are correlated, N_eff rows instead of N.
 
-    The likelihood is raised to the power N_eff/N, which widens intervals and asks more evidence of a term. Found in
-    turn, since a model of fewer terms leaves residuals that are more correlated. What a rejected model leaves, one that
-    explains less than half of the target, is the motion itself: no row is discounted by that. `residuals` inspects what
-    a posterior leaves, in order of time.
+    Found in turn, since a model of fewer terms leaves residuals that are more correlated. What a rejected model leaves,
+    one that explains less than half of the target, is the motion itself. `residuals` inspects what a posterior leaves.
     """
     share = 1.0
     for _ in range(PILOTS):

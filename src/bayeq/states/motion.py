@@ -149,14 +149,11 @@ def estimate_motion(
 ) -> Motion:
     """States, targets and inputs of records of one system, which share their noise levels.
 
-    With "auto" the kinematic smoother fuses all measured channels of a chain (`bayeq.states.kinematic`), and samples
-    that were dropped from a uniform grid, or are missing (NaN), are bridged: the states then have a row for each. Where
-    nothing is smoothed, rows with a missing sample are left out; with "none" they are an error. Less than 10 rows in
-    all are differentiated as they are. Records without time are left to `derive_states`, whose errors are those of this
-    function. Noise levels are learned from the training rows; the rows held out, the last `share` of each record, are
-    smoothed apart. Noise levels that `sensors` know are not learned; factors and lags that they know are taken out. In
-    `band`, frequencies [Hz], records are believed. An UnknownNameError, RecordError or ChainError names channels that
-    are missing or cannot be used.
+    With "auto" the kinematic smoother fuses all measured channels of a chain (`bayeq.states.kinematic`), and missing
+    samples are bridged. Where nothing is smoothed, rows with a missing sample are left out; with "none" they are an
+    error. Noise levels are learned from the training rows; the rows held out, the last `share` of each record, are
+    smoothed apart. In `band`, frequencies [Hz], records are believed. An UnknownNameError, RecordError or ChainError
+    names channels that are missing or cannot be used.
     """
     whole, sensors = smooth == "none", sensors or Sensors()
     if roles.hidden:
@@ -186,10 +183,10 @@ def estimate_motion(
 
 
 def with_hidden(motion: Motion, roles: Roles) -> Motion:
-    """The motion, with time, with hidden states: their laws integrated along each record.
+    """The motion, with time, with hidden states of the roles: laws without unknown constants, integrated along each
+    record.
 
-    `roles` are those of the motion, and hidden states whose laws have values of all constants. An InputError names laws
-    that are not finite along a record.
+    An InputError names laws that are not finite along a record.
     """
     records = tuple(with_columns(rows, hidden_columns(roles, rows.columns, rows.time)) for rows in motion.records)
     gains = motion.unit_gains[: len(roles.chains) - len(roles.hidden)]
@@ -248,10 +245,8 @@ AROUND = (2, 1, -1, -2)
 
 
 def likened(channels: Sequence[Floats]) -> list[Floats]:
-    """Channels with missing samples taken from where those around them were most alike.
-
-    A chaotic map may be anywhere between two samples: a straight line would lead the likelihood astray.
-    """
+    """Channels with missing samples taken from where those around them were most alike: a chaotic map may be
+    anywhere between."""
     samples = np.column_stack(channels)
     scale = np.nanstd(samples, axis=0)
     around = np.hstack([np.column_stack([_moved(column, back) for column in samples.T]) for back in AROUND])
@@ -331,10 +326,7 @@ def _rows(record: Record, roles: Roles, columns: Mapping[str, Floats]) -> Motion
 
 
 def _require_integrable(records: Sequence[Record], chain: Chain, smooth: Smooth) -> None:
-    """Check the channels of a chain whose coordinate is not measured.
-
-    A channel that happens to have the coordinate's name was left out of the chain, and is not used.
-    """
+    """Check the channels of a chain whose coordinate is not measured; one that has its name is not used."""
     for record in records:
         require_usable(record, [name for name in chain.measured if name is not None])
     where = records[0].name or "record"
@@ -368,8 +360,7 @@ def measured_apart(
 ) -> tuple[tuple[Chain, ...], list[str]]:
     """The chains without channels that were computed from a lower one, and a message for each chain that has some.
 
-    Such channels keep their names and are to be estimated. Noise levels are not learned from a `share` of the rows, the
-    last of each record.
+    Such channels keep their names and are to be estimated. The last `share` of the rows says nothing of noise levels.
     """
     out, messages = [], []
     for chain in chains:

@@ -96,11 +96,7 @@ def check_sensors(
     roles: Roles,
     lag_sd: Mapping[str, float | str] | None = None,
 ) -> None:
-    """Refuse what cannot be used, before any work.
-
-    That is a channel that plays no part (UnknownNameError), or a value that is no number, negative or infinite
-    (InputError).
-    """
+    """Refuse what cannot be used: a channel without a part (UnknownNameError), a value out of range (InputError)."""
     known = roles.channels
     for what, given in (("noise", noise), ("gain_sd", gain_sd), ("lag_sd", {} if lag_sd is None else lag_sd)):
         require_mapping(given, what)
@@ -118,10 +114,9 @@ def known_sensors(
     tails: Tails = "gauss",
     lag_sd: Mapping[str, float | str] | None = None,
 ) -> Sensors:
-    """What was given of the channels of some records, in their units.
+    """What was given of the channels of some records, in their units, but of channels that are not measured apart.
 
-    Channels that are not measured apart (`bayeq.states.measured_apart`) are left out. An InputError refuses noise that
-    exceeds what was measured.
+    An InputError refuses noise that exceeds what was measured.
     """
     used = roles.channels
     levels, readings = dict[str, float](), dict[str, float]()
@@ -163,10 +158,8 @@ def known_sensors(
 
 
 def force_of_blows(name: str, records: Sequence[Record]) -> Floats | None:
-    """Samples of blows, of a force that a window has made 0 between them; None of any other channel.
-
-    Their values hardly repeat, and those between them are one and the same.
-    """
+    """Samples of blows, of a force that a window has made 0 between them; None of other channels, whose values
+    repeat."""
     values = np.concatenate([np.asarray(record[name]) for record in records])
     values = values[np.isfinite(values)]
     blows = values[values != 0.0]
@@ -199,10 +192,7 @@ def _amount(what: str, name: str, value: float | str) -> tuple[float, bool]:
 
 
 def scaled_with(chains: Sequence[Chain], channel: str) -> tuple[str, ...]:
-    """Columns that a factor of a channel multiplies: its own, and derivatives that are estimated from it.
-
-    A derivative that is not measured comes from the next lower one that is; where there is none, from the next higher.
-    """
+    """Columns that a factor of a channel multiplies: its own, and derivatives that are estimated from it."""
     out = [channel]
     for chain in chains:
         present = [k for k, name in enumerate(chain.measured) if name is not None]
@@ -274,10 +264,8 @@ def rates(chain: Chain, gains: Sequence[float]) -> tuple[float, ...]:
 
 
 def of_no_unit(chain: Chain, gains: Sequence[float], units: Mapping[str, str]) -> tuple[str, str, float] | None:
-    """A channel, one below it, and by how much the first is too large or too small to be its derivative.
-
-    The gains are those of `unit_gains`; None where each is as stated, or may be of a unit that is not known.
-    """
+    """A channel, one below it, and by how much the first is too large to be its derivative; None if a unit explains
+    it."""
     measured = [(k, name) for k, name in enumerate(chain.measured[: len(gains)]) if name is not None]
     for place, (k, name) in enumerate(measured[1:], 1):
         found = []
@@ -343,7 +331,7 @@ class _Estimate(NamedTuple):
 def _decided(stated: float | None, found: _Estimate | None, acceleration: bool) -> float:
     """The stated ratio; without one the first usual ratio that the estimate agrees with, or else the nearest.
 
-    What differs by more than calibration is left as it is found, a stated ratio notwithstanding; so are signs.
+    What differs by more than calibration is left as it is found; so are signs.
     """
     if found is None:
         return 1.0 if stated is None else stated

@@ -69,10 +69,8 @@ class Whole:
         return used, self.n - used
 
     def design(self, motion: Motion, terms: Sequence[Expression], allowed: Bools, share: float) -> Design:
-        """A dictionary on the motion of stretches, with the statistics of all rows as they are.
-
-        The last `share` of the rows of each record is held out. InputError if no candidate can be used, or no row.
-        """
+        """A dictionary on the motion of stretches, with the statistics of all rows; the last `share` of them is held
+        out."""
         roles, terms = motion.roles, tuple(terms)
         work = AsMeasured(self.extents, roles, terms, share)
         names, targets = tuple(term.text for term in terms), len(roles.targets)

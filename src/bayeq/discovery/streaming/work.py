@@ -172,11 +172,8 @@ class Threads:
 def fold(
     work: Work[Of], units: Sequence[Unit], executor: Executor, progress: Progress, stage: str, kept: Any = None
 ) -> Of:
-    """The sum over units, of at least one, of what `work` computes.
-
-    The executor computes; `progress` is called with (stage, rows done, rows in all). The sum so far is kept in a
-    Checkpoint, if one is given, and taken from it.
-    """
+    """The sum over units, of at least one, of what `work` computes; on the way it is kept in a Checkpoint, if one is
+    given."""
     # One name for both: wherever an interrupt falls, they belong together.
     so_far: tuple[int, Any] = (0, None) if kept is None else kept.load()
     rows = [0, *accumulate(unit.n for unit in units)]
@@ -327,10 +324,7 @@ class _Rows(Work[Of]):
         return max(chain.order for chain in self.roles.chains) if estimated else 0
 
     def columns(self, unit: Unit) -> tuple[Columns, Columns, float, float]:
-        """States, inputs and targets of the rows for training and held out; times of the first and the last row.
-
-        Times that are not known are NaN.
-        """
+        """States, inputs and targets of the rows for training and held out; times of the first and last row, or NaN."""
         extent = self.extents[unit.extent]
         start, stop = max(unit.start - self.reach, extent.start), min(unit.stop + self.reach, extent.stop)
         record = extent.read(start, stop)

@@ -36,10 +36,8 @@ WINDOW = 40.0
 
 
 def path_sizes(problem: Problem, most: int | None = None) -> range:
-    """Sizes that a path goes through: from the number of forced terms to `most`.
-
-    InputError: `most` is no whole number, negative, or less than the number of forced terms.
-    """
+    """Sizes that a path goes through: from the number of forced terms to `most`; an InputError refuses less than
+    these."""
     forced = int(np.sum(problem.log_odds == math.inf))
     allowed = min(int(np.sum(problem.log_odds > -math.inf)), MOST_ACTIVE)
     if most is None:
@@ -55,14 +53,10 @@ def best_of_each_size(
 ) -> list[tuple[Bools, float]]:
     """The model with the highest log posterior (34) among those of each size, from the smallest on, with ln p(y, z).
 
-    Up to 14 free terms all models are evaluated. With more, the best few models of each size are improved by each
-    other: their neighbours by a term more, a term less or a swap, until none of these is better (a forward and backward
-    selection with exchanges, Pudil, Novovicova and Kittler 1994, on the exact posterior). The search starts from
-    `starts`, (P,) each, too.
-
-    The smallest model is that of the forced terms alone, the largest has 12 terms by default, or as many as there are.
-    Where limits (P, 2) of coefficients are known all models are searched, however few terms there are. InputError:
-    `most` is less than the number of forced terms.
+    Up to 14 free terms, without limits (P, 2), all models are evaluated. With more, the best few models of each size
+    are improved by each other: their neighbours by a term more, a term less or a swap, until none of these is better (a
+    forward and backward selection with exchanges, Pudil, Novovicova and Kittler 1994, on the exact posterior), from
+    `starts`, (P,) each, too. Sizes are those of `path_sizes`.
     """
     sizes = path_sizes(problem, most)
     if limits is None and int(np.isfinite(problem.log_odds).sum()) <= ENUMERATE:

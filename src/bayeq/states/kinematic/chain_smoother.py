@@ -59,10 +59,8 @@ class ChainSmoothing:
         return np.asarray(density * information / (1.0 + density * (information + bound)))
 
     def follow(self, values: Floats) -> Floats:
-        """Columns (n, k) as the smoother would show them: filtered by its gain, reflected at the ends.
-
-        Sampled uniformly; otherwise they are left as they are.
-        """
+        """Columns (n, k) as the smoother would show them: filtered by its gain, reflected at the ends, if sampled
+        uniformly."""
         n = len(values)
         if self.fs is None or n < 3 or not values.shape[1]:
             return values
@@ -76,10 +74,8 @@ class ChainSmoothing:
         return np.asarray(filtered[reach : reach + n])
 
     def inner(self, n: int) -> slice:
-        """Of n rows those that are further from either end than the smoother's memory: there it knows least.
-
-        At most a tenth of the rows is left out at either end.
-        """
+        """Of n rows those further from either end than the smoother's memory, at most a tenth of the rows, where it
+        knows least."""
         memory = 0 if self.fs is None else int(np.ceil(self.fs / max(self.band[1], self.fs / max(n, 1))))
         reach = min(memory, n // 10)
         return slice(reach, n - reach)
@@ -119,9 +115,8 @@ def smooth_chain(
 ) -> tuple[list[Floats], ChainSmoothing]:
     """Smoothed derivatives of order 0 to K of a chain in each of some records, (n, K+1), in the units of its channels.
 
-    Noise levels are learned from the first `rows` of each record, by default from all; the others are smoothed apart,
-    so that nothing is carried from these to those. NaN is a missing sample. A RecordError says why noise cannot be told
-    from motion, or why a coordinate that is not measured cannot be integrated.
+    Noise levels are learned from the first `rows` of each record, by default from all; the others are smoothed apart.
+    NaN is a missing sample. A RecordError says why noise cannot be told from motion, or a coordinate not be integrated.
     """
     sensors = sensors or Sensors()
     cuts = [record.n for record in records] if rows is None else list(rows)

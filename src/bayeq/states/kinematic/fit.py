@@ -127,10 +127,7 @@ def _require_noisy(series: Sequence[ChainSeries], k: int) -> None:
 
 
 def _pieces(series: ChainSeries) -> list[ChainSeries]:
-    """The record without rows that have no sample, cut at long gaps.
-
-    What is known on one side of a gap says next to nothing about the other, but loses all its digits on the way.
-    """
+    """The record without rows that have no sample, cut at long gaps, on whose way what is known loses all digits."""
     columns = [channel for channel in series.channels if channel is not None]
     filled = np.flatnonzero(np.any(np.isfinite(columns), axis=0))
     if len(filled) < 2:

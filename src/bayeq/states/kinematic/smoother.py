@@ -225,10 +225,9 @@ class Rows:
         return -float(self.present.sum(axis=0) @ np.log(self.units(self.measured)))
 
     def filter(self, order: int, density: float, noise_sd: Floats, initial_sd: Floats, keep: bool = False) -> Filtered:
-        """Filter the record by a model of order m and density Q.
+        """Filter the record by a model of order m and density Q; with `keep` for the smoother too.
 
-        Standard deviations are those of the channels' noise, (K+1,), and of the first state, (m,). With `keep` the
-        filtered states are kept, which the smoother needs.
+        Standard deviations are those of the channels' noise, (K+1,), and of the first state, (m,).
         """
         (n, c), m = self.samples.shape, order - self.lowest
         orders = self.measured - self.lowest
@@ -263,10 +262,8 @@ class Rows:
 
 
 def prepare(series: ChainSeries, initial_sd: Floats, all_states: bool = False) -> Rows:
-    """A record for the filter, in units by the sizes `initial_sd` of the derivatives, (m,).
-
-    States below the lowest measured derivative, if wanted, say nothing about the samples, and never settle.
-    """
+    """A record for the filter, in units by the sizes `initial_sd` of the derivatives, (m,); with `all_states` also
+    those below the lowest measured derivative, which never settle."""
     seen = [k for k, channel in enumerate(series.channels) if channel is not None and np.isfinite(channel).any()]
     measured = np.array(seen or series.measured, dtype=np.int64)
     step = series.step
