@@ -14,9 +14,8 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bayeq.arrays import Floats
+from bayeq.arrays import Floats, Ints
 from bayeq.likelihood.channels import Suspect, suspects_of
 from bayeq.likelihood.filter import run_filter
 from bayeq.likelihood.fit import State, Statistics, adjoints, maximised, of_inputs, solved
@@ -364,7 +363,7 @@ def octaves_of(
     return out
 
 
-def _spectrum(pieces: Sequence[Floats]) -> tuple[Floats, NDArray[np.int64]]:
+def _spectrum(pieces: Sequence[Floats]) -> tuple[Floats, Ints]:
     """Powers of all bins between 0 and half the sampling rate, and how many octaves below that each lies."""
     power, below = [np.zeros(0)], [np.zeros(0, dtype=np.int64)]
     for values in pieces:

@@ -202,14 +202,8 @@ def _backward(
     linear: Linear, noise: Noise, found: Filtered, first: int, stop: int, at: _Returning, out: Adjoint
 ) -> None:
     """Samples from the one before `stop` back to `first`."""
-    path, transition, gradient, kinds, leads, forces = (
-        linear.path,
-        linear.transition,
-        linear.gradient,
-        linear.kinds,
-        linear.leads,
-        linear.discrepancy,
-    )
+    path, transition, gradient = linear.path, linear.transition, linear.gradient
+    kinds, leads, forces = linear.kinds, linear.leads, linear.discrepancy
     memory, added = noise.memory, noise.channels
     variance, gain, covariance = found.variance, found.gain, found.covariance
     work, step, lines, innovation, lasting, mean = at

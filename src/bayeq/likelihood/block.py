@@ -185,14 +185,8 @@ def curvature(task: Task, state: State) -> Curvature:
         moves = np.array([value - values[0] for value in values[1:]]).reshape(len(values) - 1, len(values[0]))
         return np.asarray(moves.T / (STEP * count))
 
-    spreads = by_levels(found[2], 1.0)
-    return Curvature(
-        moving,
-        turning,
-        by_levels(found[0], task.rows),
-        by_levels(found[1], task.rows)[moving],
-        np.abs(spreads).max(axis=0, initial=0.0),
-    )
+    slopes, scores = by_levels(found[0], task.rows), by_levels(found[1], task.rows)[moving]
+    return Curvature(moving, turning, slopes, scores, np.abs(by_levels(found[2], 1.0)).max(axis=0, initial=0.0))
 
 
 def _slopes(task: Task, state: State) -> tuple[Floats, Floats, Floats]:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.arrays import Bools, Floats
+from bayeq.arrays import Bools, Floats, Ints
 from bayeq.expressions import Call, Evaluator, Expression
 from bayeq.likelihood.layout import NOTHING, Candidates, Layout, Series
 from bayeq.likelihood.signs import SLOPE, half_of_jump, middle_of_jump, unresolved_share
@@ -101,7 +101,7 @@ def blur_of(
     push: Floats,
     chosen: Candidates,
     theta: Floats,
-    substeps: NDArray[np.int64],
+    substeps: Ints,
 ) -> Blur:
     """Widths along smoothed states, a path (n, S) with covariance (n, S, S), of the model `chosen`, `theta`.
 

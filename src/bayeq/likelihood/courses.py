@@ -94,6 +94,5 @@ def noisier(task: Task, state: State, k: int) -> State:
     levels, i = state.levels, task.layout.first_input + k
     if not levels.learned[i]:
         return state
-    return replace(
-        state, levels=levels.with_noise(i, max(levels.channels[i], LIKELIHOOD.input_noise * levels.scales.channels[i]))
-    )
+    variance = max(levels.channels[i], LIKELIHOOD.input_noise * levels.scales.channels[i])
+    return replace(state, levels=levels.with_noise(i, variance))

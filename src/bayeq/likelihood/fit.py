@@ -6,9 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bayeq.arrays import Floats
+from bayeq.arrays import Bools, Floats
 from bayeq.likelihood.adjoint import Adjoint, adjoint
 from bayeq.likelihood.blur import Blur, blur_of, first_blur
 from bayeq.likelihood.filter import Filtered, run_filter
@@ -77,8 +76,7 @@ class Quadratic:
     information: Floats
 
     def __add__(self, other: Quadratic) -> Quadratic:
-        parts = (self.level + other.level, self.slope + other.slope, self.information + other.information)
-        return Quadratic(*parts)
+        return Quadratic(self.level + other.level, self.slope + other.slope, self.information + other.information)
 
     def raised(self, power: float) -> Quadratic:
         """The quadratic of the likelihood to a power."""
@@ -232,7 +230,7 @@ def maximised(
     linears: Sequence[Linear],
     state: State,
     precision: Floats,
-    held: NDArray[np.bool_] | None = None,
+    held: Bools | None = None,
     steps: int = 30,
     tolerance: float = 1e-3,
     steepest: float = 0.03,

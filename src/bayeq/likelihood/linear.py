@@ -8,10 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.arrays import Floats, Ints
+from bayeq.arrays import Bools, Floats, Ints
 from bayeq.dictionary import evaluate_terms
 from bayeq.likelihood.blur import Blur, Hold, crossings, first_blur
 from bayeq.likelihood.layout import Candidates, Layout, Series
+from bayeq.likelihood.low_pass import feedback
 from bayeq.likelihood.steps import Steps, add_derivatives, arrays, integrate
 from bayeq.numerics.settings import LIKELIHOOD
 from bayeq.numerics.spline import spline_slopes
@@ -222,7 +223,7 @@ def sources_of(linear: Linear, chosen: Candidates, first: int, stop: int) -> Flo
     return out
 
 
-def _others(related: NDArray[np.bool_]) -> Ints:
+def _others(related: Bools) -> Ints:
     """In each row the number of entries off the diagonal, then their columns."""
     out = np.zeros(related.shape, dtype=np.int64)
     for i, row in enumerate(related):
@@ -236,7 +237,9 @@ def _to_mean(layout: Layout, intervals: Floats, end: Floats, transition: Floats)
     """Puts the mean of the highest derivative of each input after the next sample into `end` and `transition`."""
     for k, (first, slope, centre) in enumerate(zip(layout.driven, layout.slope, layout.centres, strict=True)):
         states = slice(first, slope + 1)
-        factors = layout.feedback(k, intervals)
+        factors = np.column_stack([-1.0 / intervals, np.zeros(len(intervals))])  # a random sequence goes straight back
+        if layout.smoothness[k]:
+            factors = feedback(int(layout.widths[k]), layout.corners[k], intervals)
         deviation = end[:, states].copy()
         deviation[:, 0] -= centre
         end[:, slope] = np.einsum("nj,nj->n", factors, deviation)

@@ -10,9 +10,8 @@ from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bayeq.arrays import Bools, Floats
+from bayeq.arrays import Bools, Floats, Ints
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.slab import exact_posterior
 from bayeq.inference.gram import Gram
@@ -121,7 +120,7 @@ class Task:
             return self.counted
         return float(sum(np.isfinite(one.samples).sum() for one in self.series))
 
-    def number(self, chosen: Candidates) -> NDArray[np.int64]:
+    def number(self, chosen: Candidates) -> Ints:
         """Indices of coefficients among those of all equations."""
         return chosen.chain * (len(self.layout.terms) + 1) + chosen.term
 

@@ -559,8 +559,5 @@ def _counts(rows: Sequence[int], longest: int) -> dict[int, int]:
     """How many stretches of each record are taken: of many records one of some of them, evenly chosen."""
     if len(rows) <= STRETCHES:
         return {k: max(1, round(STRETCHES * n / sum(rows))) for k, n in enumerate(rows)}
-    typical = min(longest, int(np.median(rows)))
-    chosen = (
-        np.linspace(0, len(rows) - 1, min(len(rows), -(-LIKELIHOOD.stretches_above // typical))).round().astype(int)
-    )
-    return dict.fromkeys(chosen.tolist(), 1)
+    most = -(-LIKELIHOOD.stretches_above // min(longest, int(np.median(rows))))
+    return dict.fromkeys(np.linspace(0, len(rows) - 1, min(len(rows), most)).round().astype(int).tolist(), 1)

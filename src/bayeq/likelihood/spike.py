@@ -327,7 +327,7 @@ def among_fitted(found: ModelSet, task: Task, fitted: Fitted) -> ModelSet:
     return _sorted(found, models, np.array([*tried.values()]))
 
 
-def _sorted(found: ModelSet, models: NDArray[np.bool_], values: Floats) -> ModelSet:
+def _sorted(found: ModelSet, models: Bools, values: Floats) -> ModelSet:
     order = np.argsort(-values, kind="stable")
     return replace(found, models=models[order], log_posterior=values[order], inclusion=None)
 

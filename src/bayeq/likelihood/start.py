@@ -9,9 +9,8 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bayeq.arrays import Floats
+from bayeq.arrays import Bools, Floats
 from bayeq.dictionary import evaluate_terms
 from bayeq.expressions import Expression
 from bayeq.inference.collapsed.slab import likeliest_by_rows
@@ -134,7 +133,7 @@ def _known_noise(motion: Motion) -> dict[str, float]:
     return still | dict(motion.sensors.noise)
 
 
-def _set_known(noise: Floats, layout: Layout, scales: Scales, known: Mapping[str, float]) -> NDArray[np.bool_]:
+def _set_known(noise: Floats, layout: Layout, scales: Scales, known: Mapping[str, float]) -> Bools:
     """Puts the known noise of channels into the variances `noise`, (M,); returns which channels these are."""
     held = np.array([name in known for name, _ in layout.channels])
     for i in np.flatnonzero(held):

@@ -10,7 +10,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayeq.arrays import Bools, Floats, Ints
 from bayeq.expressions.evaluate import Program, run_tape
@@ -37,7 +36,7 @@ class Steps(NamedTuple):
     last: Ints  # (C,), see `Layout.last`
     factors: Floats  # (C,), rate of that state for a target of 1; 0 of static laws, whose targets are not integrated
     motion: int  # number of states that are derivatives of chains: the first ones, which alone depend on coefficients
-    rising: NDArray[np.bool_]  # (S,), whether the rate of a state behind them is the next one, and not 0
+    rising: Bools  # (S,), whether the rate of a state behind them is the next one, and not 0
     straight: Ints  # (S,), how a state behind them goes from one sample to the next: `SMOOTH`, `STRAIGHT` or `HELD`
     # whether terms hold targets: then the program gives these without discrepancies, and (I - A)^-1, at last
     implicit: bool

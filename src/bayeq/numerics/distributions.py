@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from bayeq.arrays import Floats
 from bayeq.numerics.settings import LIKELIHOOD
@@ -24,7 +24,7 @@ class Shape(NamedTuple):
     normality: float
 
 
-def shape_of(e: NDArray[np.float64], third: float = 1.0, fourth: float = 1.0) -> Shape:
+def shape_of(e: Floats, third: float = 1.0, fourth: float = 1.0) -> Shape:
     """The shape of numbers of mean 0, (n,) and not all 0, beside that of a normal distribution.
 
     `third` and `fourth` are sums of these powers of their autocorrelations over all lags (Lobato and Velasco 2004); 1
@@ -37,7 +37,7 @@ def shape_of(e: NDArray[np.float64], third: float = 1.0, fourth: float = 1.0) ->
     return Shape(skewness, kurtosis, math.exp(-0.5 * statistic))
 
 
-def t_quantile(freedom: ArrayLike, z: float = Z95) -> NDArray[np.float64]:
+def t_quantile(freedom: ArrayLike, z: float = Z95) -> Floats:
     """Quantile of Student's t where the normal has its own at z, by Abramowitz and Stegun 26.7.5.
 
     Of 3 degrees of freedom or more (within 1 %); infinitely many of the normal.

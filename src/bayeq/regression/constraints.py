@@ -14,7 +14,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayeq.arrays import Bools, Floats
 from bayeq.errors import ExpressionError, InputError, UnknownNameError
@@ -49,7 +48,7 @@ class Constraints:
         return bool(np.isfinite(self.limits).any()) or len(self.equalities.eliminated) > 0
 
     @property
-    def concerned(self) -> NDArray[np.bool_]:
+    def concerned(self) -> Bools:
         """Terms that something is known of, (P,)."""
         out = limited(self.limits)
         out[self.equalities.eliminated] = True
@@ -58,7 +57,7 @@ class Constraints:
         return out
 
     @property
-    def forced(self) -> NDArray[np.bool_]:
+    def forced(self) -> Bools:
         """Terms that are in wherever they may be, for their limits exclude zero, (P,)."""
         return (self.limits[:, 0] > 0.0) | (self.limits[:, 1] < 0.0)
 
@@ -68,7 +67,7 @@ class Constraints:
         bounded = (signs_of(self.limits) == 0)[:, None]
         return np.where(bounded, self.limits, [-np.inf, np.inf]) if (bounded & np.isfinite(self.limits)).any() else None
 
-    def among(self, allowed: NDArray[np.bool_]) -> Constraints:
+    def among(self, allowed: Bools) -> Constraints:
         """The same with the coefficients of terms that are not `allowed`, (P,), zero, and without what ties these
         alone."""
         if allowed.all():

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.arrays import Bools, Floats
+from bayeq.arrays import Bools, Floats, Ints
 from bayeq.dictionary import evaluate_terms
 from bayeq.dictionary.families import degree
 from bayeq.errors import InputError
@@ -121,7 +121,7 @@ def build_design(
     return usable_terms(found, builder.bad, builder.total)
 
 
-def usable_terms(design: Design, bad: NDArray[np.int64], rows: int) -> Design:
+def usable_terms(design: Design, bad: Ints, rows: int) -> Design:
     """A dictionary without the candidates that cannot be used.
 
     `bad`, (P,), is the number of rows, of some in all, in which each is not finite, or too large to square. An
@@ -210,7 +210,7 @@ def _require_units(terms: Sequence[Expression], motion: Motion) -> None:
                 )
 
 
-def _reasons(gram: Gram, bad: NDArray[np.int64], rows: int, allowed: Bools) -> dict[int, str]:
+def _reasons(gram: Gram, bad: Ints, rows: int, allowed: Bools) -> dict[int, str]:
     """Why each unusable column is left out; a copy is, if every equation that it is for may have the other."""
     sd = gram.standard_deviation
     out: dict[int, str] = {}

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from bayeq.arrays import Floats
+from bayeq.arrays import Floats, Ints
 from bayeq.errors import RecordError
 from bayeq.expressions import Evaluator, Expression, Tape
 from bayeq.expressions.evaluate import registers_for, run_on_rows
@@ -193,7 +193,6 @@ def fold(
     return so_far[1]
 
 
-Counts = NDArray[np.int64]
 Columns = dict[str, Floats]
 
 #: Rows whose likelihood is computed together: of the state before them nothing is known, which costs what some hundred
@@ -217,7 +216,7 @@ class Folded:
 
     # count, means and centred products of the columns of the dictionary and the targets; None without rows
     moments: Moments | None
-    bad: Counts  # (P,), rows in which each term is not finite, or too large to square
+    bad: Ints  # (P,), rows in which each term is not finite, or too large to square
 
     def __add__(self, other: Folded) -> Folded:
         if self.moments is None or other.moments is None:

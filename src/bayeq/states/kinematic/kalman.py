@@ -20,7 +20,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayeq.arrays import Bools, Floats, Ints
 from bayeq.kernels import kernel
@@ -434,9 +433,7 @@ def _backward_gain(S: Floats, f: Floats, h: float, noise: Floats, M: Floats, J: 
 
 
 @kernel
-def smooth(
-    steps: Floats, tables: Tables, steady: int, noise: Floats, covariances: Floats, rows: NDArray[np.int64]
-) -> int:
+def smooth(steps: Floats, tables: Tables, steady: int, noise: Floats, covariances: Floats, rows: Ints) -> int:
     """Rauch-Tung-Striebel smoother: the filtered means in `tables` become smoothed ones.
 
     Returns how many `covariances` were filled, one per row until they have settled; `rows` say which is of each row.
