@@ -19,7 +19,7 @@ from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.slab import exact_posterior
 from bayeq.inference.collapsed.tableau import active_block, move_to, swept
 from bayeq.inference.gram import GramLike
-from bayeq.inference.posterior import Averaged, Constant, Details, ModelAverage, Posterior
+from bayeq.inference.posterior import Averaged, Details, ModelAverage, Posterior, of_standardised
 from bayeq.inference.prior import Prior
 from bayeq.kernels import kernel
 
@@ -165,25 +165,10 @@ def spike_slab_bma(
         terms=terms,
         covariance=second - np.outer(mean[terms], mean[terms]),
     )
-    return Posterior(
-        names=gram.names,
-        pip=pip,
-        support=support,
-        coef=coef,
-        covariance=conditional,
-        constant=Constant(np.zeros(len(pip))),
-        noise_variance=float(noise),
-        n=round(gram.dof) + 1,
-        details=Details(
-            "bma",
-            found.expanded,
-            converged,
-            problem.slab_variance,
-            contradicted=tuple(gram.names[j] for j in found.contradicted),
-        ),
-        averaged=Averaged(mean, np.sqrt(np.maximum(square - mean * mean, 0.0))),
-        average=listed,
-    )
+    contradicted = tuple(gram.names[j] for j in found.contradicted)
+    details = Details("bma", found.expanded, converged, problem.slab_variance, contradicted=contradicted)
+    averaged = Averaged(mean, np.sqrt(np.maximum(square - mean * mean, 0.0)))
+    return of_standardised(gram, pip, support, coef, conditional, noise, details, averaged, listed)
 
 
 def _draw_given_model(p: Problem, active: Bools, n: int, rng: np.random.Generator) -> tuple[Floats, Floats]:

@@ -32,7 +32,7 @@ from bayeq.inference.collapsed.tableau import (
     swept,
 )
 from bayeq.inference.gram import GramLike
-from bayeq.inference.posterior import Averaged, Constant, Details, Draws, Posterior
+from bayeq.inference.posterior import Averaged, Details, Draws, Posterior, of_standardised
 from bayeq.inference.prior import Prior
 from bayeq.kernels import kernel
 
@@ -262,17 +262,8 @@ def spike_slab_gibbs(
     support = pip > 0.5
     coef, covariance = given_model(problem, support)
     rhat = multivariate_rhat(draws.theta)
-    return Posterior(
-        names=gram.names,
-        pip=pip,
-        support=support,
-        coef=coef,
-        covariance=covariance,
-        constant=Constant(np.zeros(len(pip))),
-        noise_variance=float(draws.noise_variance.mean()),
-        n=round(gram.dof) + 1,
-        details=Details("gibbs", samples, rhat < RHAT_LIMIT, problem.slab_variance, rhat=rhat),
-        averaged=Averaged(
-            draws.theta.mean(axis=(0, 1)), draws.theta.std(axis=(0, 1)), draws=draws if keep_draws else None
-        ),
-    )
+    details = Details("gibbs", samples, rhat < RHAT_LIMIT, problem.slab_variance, rhat=rhat)
+    mean, sd = draws.theta.mean(axis=(0, 1)), draws.theta.std(axis=(0, 1))
+    averaged = Averaged(mean, sd, draws=draws if keep_draws else None)
+    noise = draws.noise_variance.mean()
+    return of_standardised(gram, pip, support, coef, covariance, noise, details, averaged)

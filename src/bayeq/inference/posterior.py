@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from bayeq.arrays import Bools, Floats
 from bayeq.errors import InputError
-from bayeq.inference.gram import Standardised
+from bayeq.inference.gram import GramLike, Standardised
 from bayeq.kernels import kernel
 
 # Where fields of version 0.2 stand; their names go in 0.5.
@@ -425,6 +425,23 @@ class Posterior:
         Z = np.asarray(D, dtype=np.float64)[:, kept] - self.constant.center[kept]
         spread = np.einsum("ij,jk,ik->i", Z, self.covariance, Z)
         return np.sqrt(spread + self.noise_variance * (1.0 + 1.0 / self.n))
+
+
+def of_standardised(
+    gram: GramLike,
+    pip: Floats,
+    support: Bools,
+    coef: Floats,
+    covariance: Floats,
+    noise_variance: float,
+    details: Details,
+    averaged: Averaged | None = None,
+    average: ModelAverage | None = None,
+) -> Posterior:
+    """The posterior of a standardised regression: means are 0, and the intercept has taken one of its rows."""
+    constant, n = Constant(np.zeros(len(pip))), round(gram.dof) + 1
+    rest = constant, float(noise_variance), n, details, averaged, average
+    return Posterior(gram.names, pip, support, coef, covariance, *rest)
 
 
 # Probability below a 95 % interval, and above it.

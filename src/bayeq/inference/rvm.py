@@ -20,7 +20,7 @@ from bayeq.errors import whole_number
 from bayeq.inference.collapsed.problem import Columns, Problem, gram_columns
 from bayeq.inference.collapsed.tableau import LOOK, Tableau, active_block, build, enter, leave, strayed
 from bayeq.inference.gram import GramLike
-from bayeq.inference.posterior import Constant, Details, Posterior
+from bayeq.inference.posterior import Details, Posterior, of_standardised
 from bayeq.inference.prior import Prior
 from bayeq.kernels import kernel
 
@@ -147,15 +147,5 @@ def rvm(gram: GramLike, prior: Prior | None = None, *, least_gamma: float = 0.0,
     for j in np.flatnonzero(support & (gamma <= least_gamma)):
         leave(T, int(j))
         support[j] = False
-    mu = np.where(support, T.partial, 0.0)
-    return Posterior(
-        names=gram.names,
-        pip=gamma,
-        support=support,
-        coef=mu,
-        covariance=noise * active_block(T, np.flatnonzero(support)),
-        constant=Constant(np.zeros(len(gram.names))),
-        noise_variance=float(noise),
-        n=round(gram.dof) + 1,
-        details=Details("rvm", int(steps), bool(converged)),
-    )
+    coef, covariance = np.where(support, T.partial, 0.0), noise * active_block(T, np.flatnonzero(support))
+    return of_standardised(gram, gamma, support, coef, covariance, noise, Details("rvm", int(steps), bool(converged)))

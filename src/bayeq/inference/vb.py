@@ -21,7 +21,7 @@ from bayeq.inference.collapsed.problem import Problem, fetch
 from bayeq.inference.collapsed.search import RVM_START_TERMS, candidate_models, default_starts, greedy_model, neighbours
 from bayeq.inference.collapsed.tableau import GAIN_TOLERANCE, expit
 from bayeq.inference.gram import GramLike
-from bayeq.inference.posterior import Constant, Details, Posterior
+from bayeq.inference.posterior import Details, Posterior, of_standardised
 from bayeq.inference.prior import Prior
 from bayeq.inference.rvm import rvm_gamma
 from bayeq.kernels import kernel
@@ -320,14 +320,6 @@ def spike_slab_vb(
     kept = np.flatnonzero(best_w[index] > 0.5)
     support = np.zeros(len(best_w), dtype=np.bool_)
     support[index[kept]] = True
-    return Posterior(
-        names=gram.names,
-        pip=best_w,
-        support=support,
-        coef=np.where(support, mu, 0.0),
-        covariance=sigma[kept[:, None], kept],
-        constant=Constant(np.zeros(len(best_w))),
-        noise_variance=float(rate / shape),
-        n=round(gram.dof) + 1,
-        details=Details("vb", len(trace), len(trace) < max_iter, problem.slab_variance, elbo_trace=trace),
-    )
+    coef, covariance = np.where(support, mu, 0.0), sigma[kept[:, None], kept]
+    details = Details("vb", len(trace), len(trace) < max_iter, problem.slab_variance, elbo_trace=trace)
+    return of_standardised(gram, best_w, support, coef, covariance, rate / shape, details)

@@ -103,14 +103,13 @@ def model_scores(p: Problem, free: Ints, base: Bools) -> Floats:
     return levels
 
 
-def enumerate_models(problem: Problem) -> ModelSet:
-    """All models, each by a Cholesky factor of its own: of up to about 20 free terms."""
+def enumerate_models(problem: Problem, window: float = FORGET) -> ModelSet:
+    """All models of up to some 20 free terms, but those less likely than the best by more nats than the window."""
     free = np.flatnonzero(np.isfinite(problem.log_odds))
     base = problem.log_odds == math.inf
     levels = model_scores(problem, free, base)
     order = np.argsort(-levels, kind="stable")
-    # models too unlikely to matter in double precision are dropped
-    order = order[levels[order] > levels[order[0]] - 40.0]
+    order = order[levels[order] > levels[order[0]] - window]
     models = np.repeat(base[None, :], len(order), axis=0)
     for bit, j in enumerate(free):
         models[:, j] = (order >> bit) & 1

@@ -13,7 +13,7 @@ import numpy as np
 
 from bayeq.arrays import Bools, Floats
 from bayeq.errors import InputError, whole_number
-from bayeq.inference.collapsed.listing import ENUMERATE, model_scores
+from bayeq.inference.collapsed.listing import ENUMERATE, enumerate_models
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import STAY, best_models, explore, log_constant, scores_of
 from bayeq.inference.collapsed.tableau import MOST_ACTIVE
@@ -89,18 +89,9 @@ def _scores(problem: Problem, models: Bools, limits: Floats | None) -> Floats:
 
 
 def _by_enumeration(problem: Problem, sizes: range) -> list[Bools]:
-    free = np.flatnonzero(np.isfinite(problem.log_odds))
-    base = problem.log_odds == math.inf
-    levels = model_scores(problem, free, base)
-    codes = np.arange(len(levels))
-    count = np.bitwise_count(codes)
-    out = []
-    for size in range(len(sizes)):
-        of_size = np.flatnonzero(count == size)
-        model = base.copy()
-        model[free] = (of_size[np.argmax(levels[of_size])] >> np.arange(len(free))) & 1
-        out.append(model)
-    return out
+    models = enumerate_models(problem, math.inf).models
+    count = models.sum(axis=1)
+    return [models[np.argmax(count == size)] for size in sizes]
 
 
 class _Pool:
@@ -189,8 +180,6 @@ def partial_shares(gram: Gram, active: Bools) -> Floats:
     """
     out = np.full(len(active), np.nan)
     index = np.flatnonzero(active)
-    if not len(index):
-        return out
     sd = np.sqrt(gram.diagonal[index])
     if not (gram.yty > 0.0 and (sd > 0.0).all()):
         out[index] = 0.0

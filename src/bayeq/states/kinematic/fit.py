@@ -141,7 +141,7 @@ def _pieces(series: ChainSeries) -> list[ChainSeries]:
 def _stretches(rows: Sequence[Rows]) -> Sequence[Rows]:
     """Where there are too many rows, stretches spread over them."""
     total = sum(len(r.steps) for r in rows)
-    slower = SLOWER if SPARSE * sum(r.irregular for r in rows) > total else 1
+    slower = SLOWER if SPARSE * sum(np.count_nonzero(~r.regular[1:]) for r in rows) > total else 1
     if total * slower <= MANY:
         return rows
     longest = USED // (slower * STRETCHES)
