@@ -268,7 +268,7 @@ class Truncation:
         active = self.terms >= 0
         self.turn, self.end, self._width = faced(mean, np.where(active[:, :, None], limits[self.terms], [0.0, np.inf]))
         self._mean, self._V = self.turn * (mean - self.end), self.turn[:, :, None] * self.turn[:, None, :] * V
-        self.scores += _gain(p, limits, models)
+        self.scores += models @ _gains(p, limits)
         sd = np.sqrt(np.diagonal(self._V, axis1=1, axis2=2) * (self._s / (2.0 * p.h))[:, None])
         t = np.where(active, self._mean / np.where(active, sd, 1.0), math.inf)
         self.wrong, right = np.asarray(stdtr(2.0 * p.h, -t)), stdtr(2.0 * p.h, t)
@@ -296,17 +296,10 @@ class Truncation:
 
 
 def _gains(p: Problem, limits: Floats) -> Floats:
-    """-ln of the share of each slab within its limits, (P,), for a noise of variance 1."""
+    """What the slab of each term gains by its limits, (P,): -ln of its share within, for a noise of variance 1."""
     low, high = limits.T / math.sqrt(p.slab_variance)
     shares, _ = _between(low, high, np.zeros(len(limits)))
     return np.where(signs_of(limits) != 0, math.log(2.0), np.where(limited(limits), -shares, 0.0))
-
-
-def _gain(p: Problem, limits: Floats, models: Bools) -> Floats:
-    """What the slabs of all constrained terms of each of K models gain, (K,)."""
-    half = signs_of(limits) != 0
-    gain = math.log(2.0) * np.count_nonzero(models[:, half], axis=1)
-    return gain if (half == limited(limits)).all() else gain + models @ np.where(half, 0.0, _gains(p, limits))
 
 
 def _most(limits: Floats, models: Bools) -> int:
@@ -386,7 +379,7 @@ def list_signed(p: Problem, limits: Floats, tolerance: float, enumerate_up_to: i
         return ModelSet(found.models[order], value[order], left, found.expanded)
     listed = _search(p, limits, either, [*found.models[order[:STARTS]], *_starts(either, limits)], tolerance)
     # where its sign is not known a constrained term has the odds of any other
-    free = without - _gain(p, limits, found.models)
+    free = without - found.models @ _gains(p, limits)
     if logsumexp(free) - logsumexp(listed.log_posterior) < INFERENCE.signs_contradicted:
         return listed
     truncation, wrong = Truncation(p, limits, found.models[:STARTS]), np.zeros(len(limits))

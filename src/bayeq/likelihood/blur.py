@@ -74,8 +74,6 @@ def _columns(layout: Layout, series: Series, path: Floats) -> dict[str, Floats]:
 def crossings(layout: Layout, series: Series, path: Floats, wanted: Bools) -> Bools:
     """Intervals between samples in which the wanted jumps happen, (n - 1, J)."""
     out = np.zeros((len(path) - 1, len(layout.jumps)), dtype=np.bool_)
-    if not wanted.any():
-        return out
     evaluate = Evaluator(_columns(layout, series, path))
     for j in np.flatnonzero(wanted):
         jump = layout.jumps[j]

@@ -95,7 +95,6 @@ class Statistics:
 
 
 def linearised(layout: Layout, series: Sequence[Series], state: State, substeps: int = 1) -> list[Linear]:
-    """Every record linearised where a fit stands."""
     blurs = state.blurs or (None,) * len(series)
     return [
         linearise(layout, one, path, state.chosen, state.theta, blur, substeps)
@@ -219,7 +218,6 @@ def adjoints(
     curved: bool = False,
     smoothed: bool = False,
 ) -> list[Adjoint]:
-    """The adjoint of every record."""
     return [
         adjoint(linear, levels.noise, filtered, delta, covariance, curved, smoothed)
         for linear, filtered in zip(linears, found.filtered, strict=True)

@@ -268,8 +268,6 @@ def explaining(D: Floats, y: Floats, free: Bools, basis: Floats, share: int) -> 
 
 def _independent(columns: Floats) -> Floats:
     """An orthonormal basis of some columns."""
-    if not columns.shape[1]:
-        return columns
     left, size, _ = np.linalg.svd(columns, full_matrices=False)
     return np.asarray(left[:, size > 1e-10])
 

@@ -65,7 +65,6 @@ class Regression:
 
     @property
     def motion(self) -> Motion:
-        """The rows."""
         return self.design.motion
 
     @property

@@ -50,7 +50,6 @@ class MotionRows:
         return slice(int(there[0]), int(there[-1]) + 1) if len(there) else slice(0, 0)
 
     def part(self, rows: slice) -> MotionRows:
-        """Some of the rows."""
         time = None if self.time is None else self.time[rows]
         columns, observed, samples = (
             {name: values[rows] for name, values in some.items()}

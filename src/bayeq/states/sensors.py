@@ -94,11 +94,11 @@ def check_sensors(
     noise: Mapping[str, float | str],
     gain_sd: Mapping[str, float | str],
     roles: Roles,
-    lag_sd: Mapping[str, float | str] | None = None,
+    lag_sd: Mapping[str, float | str],
 ) -> None:
     """Refuse what cannot be used: a channel without a part (UnknownNameError), a value out of range (InputError)."""
     known = roles.channels
-    for what, given in (("noise", noise), ("gain_sd", gain_sd), ("lag_sd", {} if lag_sd is None else lag_sd)):
+    for what, given in (("noise", noise), ("gain_sd", gain_sd), ("lag_sd", lag_sd)):
         require_mapping(given, what)
         for name, value in given.items():
             if name not in known:

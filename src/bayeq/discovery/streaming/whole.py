@@ -60,7 +60,6 @@ class Whole:
 
     @property
     def n(self) -> int:
-        """Number of rows."""
         return sum(one.n for one in self.extents)
 
     def counts(self, share: float) -> tuple[int, int]:

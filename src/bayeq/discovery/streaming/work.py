@@ -52,7 +52,6 @@ class Extent:
 
     @property
     def n(self) -> int:
-        """Number of rows."""
         return self.stop - self.start
 
     def read(self, start: int, stop: int) -> Record:
@@ -77,7 +76,6 @@ class Unit:
 
     @property
     def n(self) -> int:
-        """Number of rows."""
         return self.stop - self.start
 
 
