@@ -146,9 +146,8 @@ def sweep_stlsq(
     """STLSQ at the threshold with the least error on held-out rows, in the units of the Gram.
 
     `held_out` are other rows in the same units; without them the Bayesian information criterion decides. Thresholds, by
-    default 60, logarithmically from the least to the largest coefficient of all terms together, are compared with the
-    coefficients of standardised or raw columns, of which the ridge is, too. `max_iter` limits the regressions per
-    threshold. A prior is not used, and accepted so that all engines are called alike.
+    default 60 from the least to the largest coefficient of all terms together, are compared with coefficients of
+    standardised or raw columns, as the ridge is. `max_iter` limits the regressions per threshold.
     """
     if prior is not None:
         prior.refuse_signs("stlsq")
@@ -202,22 +201,19 @@ def _posterior(
     yty = gram.yty if centred else gram.yty + n * target_mean**2
     variance = _residual_sum(yty, K, c, coef) / max(gram.dof - len(kept), 1.0)
     information = K[np.ix_(kept, kept)] + ridge * np.eye(len(kept))
+    # of unit diagonal on the way; directions that rounding decides have no variance
+    scale = 1.0 / np.sqrt(np.diagonal(information))
+    unit = np.outer(scale, scale)
+    inverse = np.linalg.pinv(information * unit, rcond=len(kept) * np.finfo(np.float64).eps, hermitian=True) * unit
     return Posterior(
         names=gram.names,
         pip=support.astype(np.float64),
         support=support,
         coef=coef.copy(),
-        covariance=variance * _inverse(information),
+        covariance=variance * inverse,
         # a centre of zero and no mean of the target: no intercept
         constant=Constant(mean, target_mean) if centred else Constant(np.zeros(len(coef))),
         noise_variance=variance,
         n=n,
         details=Details("stlsq", abs(steps), steps > 0),
     )
-
-
-def _inverse(matrix: Floats) -> Floats:
-    """Inverse of a positive matrix, scaled to unit diagonal on the way; of directions that rounding decides, none."""
-    scale = 1.0 / np.sqrt(np.diagonal(matrix))
-    unit = np.outer(scale, scale)
-    return np.linalg.pinv(matrix * unit, rcond=len(scale) * np.finfo(np.float64).eps, hermitian=True) * unit

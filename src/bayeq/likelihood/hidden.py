@@ -20,6 +20,7 @@ from bayeq.expressions.nodes import replaced
 from bayeq.inference.collapsed.slab import likeliest_by_rows
 from bayeq.inference.gram import Gram
 from bayeq.likelihood.fit import State
+from bayeq.numerics.distributions import correlation
 from bayeq.states import Chain, Motion, Roles
 from bayeq.states.motion import with_columns, with_hidden
 
@@ -310,9 +311,9 @@ def _rates(motion: Motion, terms: Sequence[Expression], paths: Sequence[Mapping[
 
 def _forgotten(path: Floats) -> int:
     """After how many samples a path's correlation is half of that of the next one, which noise has no part in."""
-    spectrum = np.abs(np.fft.rfft(path - path.mean(), 2 * len(path))) ** 2
-    correlation = np.fft.irfft(spectrum)[1 : max(2, len(path) // 2)]
-    return 1 + int(np.argmax(correlation < 0.5 * correlation[0]))
+    centred = [path - path.mean()]
+    found = correlation(centred, centred)[1 : max(2, len(path) // 2)]
+    return 1 + int(np.argmax(found < 0.5 * found[0]))
 
 
 def with_found_laws(motion: Motion, terms: Sequence[Expression]) -> Motion:

@@ -15,6 +15,7 @@ import numpy as np
 
 from bayeq.arrays import Floats
 from bayeq.likelihood.fit import solved
+from bayeq.numerics.distributions import correlation, memory_of
 from bayeq.numerics.settings import LIKELIHOOD
 
 # A batch has this many rows at least; from fewer batches no variance is estimated.
@@ -122,12 +123,5 @@ def time_around(intervals: Floats) -> Floats:
 
 def _correlated(scores: Sequence[Floats]) -> float:
     """Integrated correlation time of the columns that lasts longest, in samples: sums up to the first zero."""
-    longest, size = 1.0, 2 * max(map(len, scores))
-    for j in range(scores[0].shape[1]):
-        power = sum(np.abs(np.fft.rfft(one[:, j] - one[:, j].mean(), size)) ** 2 for one in scores)
-        correlation = np.fft.irfft(power)
-        if correlation[0] > 0.0:
-            correlation = correlation[: size // 2] / correlation[0]
-            stop = int(np.argmax(correlation <= 0.0)) or len(correlation)
-            longest = max(longest, 2.0 * float(correlation[:stop].sum()) - 1.0)
-    return longest
+    columns = ([one[:, j] - one[:, j].mean() for one in scores] for j in range(scores[0].shape[1]))
+    return max([1.0, *(1.0 / memory_of(correlation(own, own), 1)[1] for own in columns)])

@@ -1,4 +1,4 @@
-"""The normal distribution, Student's t, the regularised incomplete beta function, and the spread of correlated sums."""
+"""The normal distribution, Student's t, the regularised incomplete beta function, and what is correlated."""
 
 from __future__ import annotations
 
@@ -85,6 +85,24 @@ def incomplete_beta(a: float, b: float, x: float) -> float:
         if abs(c * d - 1.0) < CLOSE:
             break
     return math.exp(log_front) * fraction / a
+
+
+def correlation(first: Sequence[Floats], second: Sequence[Floats]) -> Floats:
+    """Sum over pieces and rows of first(t + k) second(t), at k = 0, 1, ... below the length of the longest piece."""
+    longest = max(len(piece) for piece in first)
+    size = 1 << (2 * longest - 1).bit_length()
+    out = np.zeros(longest)
+    for a, b in zip(first, second, strict=True):
+        out[: len(a)] += np.fft.irfft(np.fft.rfft(a, size) * np.fft.rfft(b, size).conj(), size)[: len(a)]
+    return out
+
+
+def memory_of(covariance: Floats, n: int) -> tuple[float, float]:
+    """Autocorrelation at lag 1 and effective sample size of n residuals, from sums of products at lags 0, 1, ..."""
+    rho = covariance / covariance[0] if covariance[0] > 0 else np.zeros(1)
+    negative = np.flatnonzero(rho <= 0)
+    last = int(negative[0]) if len(negative) else len(rho)
+    return float(rho[1]) if len(rho) > 1 else 0.0, n / (1.0 + 2.0 * float(rho[1:last].sum()))
 
 
 def excess_of(scores: Sequence[Floats]) -> tuple[float, float]:

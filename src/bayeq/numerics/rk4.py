@@ -54,16 +54,14 @@ def check_interpolation(kind: object) -> None:
 
 
 def interpolant(time: Floats, samples: Floats, kind: Interpolation) -> Floats:
-    """Inputs (n, m) between their samples, as a cubic polynomial in each sampling interval.
+    """Inputs (n, m) between their samples, as a cubic polynomial in each sampling interval, (n, m, 4).
 
-    "cubic" is a spline, for forces that are smooth between their samples; "linear" straight lines; "hold" the last
-    sample, for commands that are switched; "band-limited" the cubic through what the transform of even samples gives at
-    the thirds of each interval, for forces with frequencies up to near half the sampling rate (a spline where steps are
-    uneven).
+    "cubic" is a spline; "linear" straight lines; "hold" the last sample, for commands that are switched; "band-limited"
+    the cubic through what the transform of even samples gives at the thirds of each interval, for forces with
+    frequencies up to near half the sampling rate (a spline where steps are uneven).
 
-    Returned are (n, m, 4) the values p, q at both ends of each interval, and r, s of the deviation from the straight
-    line between them: in the fraction w of the interval, ``(1 - w) p + w q + w (1 - w) (r + w s)``. Constant after the
-    last sample.
+    The four are the values p, q at both ends of each interval, and r, s of the deviation from the straight line
+    between: in the fraction w of it, ``(1 - w) p + w q + w (1 - w) (r + w s)``. Constant after the last sample.
     """
     out = np.zeros((*samples.shape, 4))
     out[:, :, 0] = out[:, :, 1] = samples
@@ -203,10 +201,7 @@ def free_runs(
 
 @kernel
 def local_errors(program: Program, drive: Drive, states: Floats, scale: Floats, out: Floats) -> None:
-    """What half the step changes in each sampling interval, started from given states (n, d), into `out` (n - 1,).
-
-    It is the largest difference of any state, in units `scale` (d,) of each.
-    """
+    """What half the step changes in each interval from given states (n, d), the most in units `scale` (d,)."""
     size = states.shape[1]
     coarse = np.empty((STAGES, size))
     fine = np.empty((STAGES, size))

@@ -16,7 +16,7 @@ from bayeq.inference.gram import Gram
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
 from bayeq.inference.vb import spike_slab_vb
-from bayeq.numerics.distributions import shape_of
+from bayeq.numerics.distributions import correlation, memory_of, shape_of
 from bayeq.numerics.settings import REGRESSION
 
 # Cross-correlations are looked at up to this many lags, and up to this share of the longest piece.
@@ -113,27 +113,9 @@ def inspect_residuals(pieces: Sequence[Floats], channels: Mapping[str, Sequence[
     )
 
 
-def memory_of(covariance: Floats, n: int) -> tuple[float, float]:
-    """Autocorrelation at lag 1 and effective sample size of n residuals, from sums of products at lags 0, 1, ..."""
-    rho = covariance / covariance[0] if covariance[0] > 0 else np.zeros(1)
-    negative = np.flatnonzero(rho <= 0)
-    last = int(negative[0]) if len(negative) else len(rho)
-    return float(rho[1]) if len(rho) > 1 else 0.0, n / (1.0 + 2.0 * float(rho[1:last].sum()))
-
-
 def _centred(pieces: Sequence[Floats]) -> list[Floats]:
     mean = sum(float(piece.sum()) for piece in pieces) / sum(len(piece) for piece in pieces)
     return [piece - mean for piece in pieces]
-
-
-def correlation(first: Sequence[Floats], second: Sequence[Floats]) -> Floats:
-    """Sum over pieces and rows of first(t + k) second(t), at k = 0, 1, ... below the length of the longest piece."""
-    longest = max(len(piece) for piece in first)
-    size = 1 << (2 * longest - 1).bit_length()
-    out = np.zeros(longest)
-    for a, b in zip(first, second, strict=True):
-        out[: len(a)] += np.fft.irfft(np.fft.rfft(a, size) * np.fft.rfft(b, size).conj(), size)[: len(a)]
-    return out
 
 
 def _both_ways(first: Sequence[Floats], second: Sequence[Floats], lags: int) -> Floats:
