@@ -110,9 +110,6 @@ def hidden_states(
     return tuple(HiddenState(chain.names[0], odds, chain.stated) for chain in motion.roles.hidden)
 
 
-#: What stands for all terms.
-ALL = "all"
-
 # Records whose differences are sought, at most.
 MOST_RECORDS = 20
 
@@ -135,7 +132,7 @@ def with_differences(
     texts = split_at(differs) if isinstance(differs, str) else [str(one) for one in differs]
     known = {term.text: j for j, term in enumerate(terms)}
     chosen = list(range(len(terms)))
-    if texts != [ALL]:
+    if texts != ["all"]:
         chosen = []
         for text in texts:
             name = parse(text).text

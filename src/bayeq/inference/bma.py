@@ -50,10 +50,8 @@ MOST_REJECTIONS = 1000
 def _mixture_moments(
     p: Problem, models: Bools, weights: Floats, place: Ints, count: int
 ) -> tuple[Floats, Floats, Floats, float]:
-    """Mean and second moment (P,) of theta, its second moments (Q, Q), and the mean of sigma^2 over weighted models.
-
-    `place` (P,) gives the place of each term among the Q = `count`, -1 where it has none.
-    """
+    """Mean and second moment (P,) of theta, its second moments (Q, Q), and the mean of sigma^2 over weighted models;
+    `place` (P,) is that of each term among the Q = `count`, or -1."""
     terms = len(p.Dty)
     mean, square, second, noise = np.zeros(terms), np.zeros(terms), np.zeros((count, count)), 0.0
     current = np.zeros(terms, np.bool_)
@@ -125,14 +123,11 @@ def spike_slab_bma(
     """Posterior under spike-and-slab priors, by default the paper's, by averaging over models with their exact weights.
 
     The Gram is standardised. Up to `enumerate_up_to` free terms all models are enumerated; a search may leave out the
-    `tolerance` of the posterior mass. `revise` is given the models found, and returns them with other log posteriors,
-    where more is known of some than the Gram tells.
-
-    `pip`, `averaged_coef` and `averaged_sd` are over all models; `coef` and `covariance` those of the median
-    probability model (Barbieri and Berger 2004), exact given the model. `average` lists the models with their
-    probabilities. Where these leave out more than the tolerance, `pip` is the probability of each term given the others
-    averaged over models, and `converged` is False if the two differ by more than the tolerance; `contradicted` names
-    terms whose known signs or bounds the data contradict.
+    `tolerance` of the posterior mass. `revise` returns the models found with other log posteriors. `coef` and
+    `covariance` are those of the median probability model (Barbieri and Berger 2004), exact given the model; `average`
+    lists the models. Where these leave out more than the tolerance, `pip` is the probability of each term given the
+    others averaged over models, and `converged` is False if the two differ by more than the tolerance; `contradicted`
+    names terms whose known signs or bounds the data contradict.
     """
     prior = prior or Prior()
     problem, limits = Problem.of(gram, prior), prior.limits

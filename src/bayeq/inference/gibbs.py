@@ -248,11 +248,10 @@ def spike_slab_gibbs(
     """Posterior under spike-and-slab priors, by default the paper's, of a standardised Gram, by collapsed Gibbs
     sampling.
 
-    The chains are those of `sample_posterior`; their draws are kept in the answer where wanted. `pip` is
-    Rao-Blackwellised: the mean of p(z_i = 1 | z_-i, y) over the samples. Coefficients and covariance are those of the
-    median probability model, exact given the model; `averaged_coef` and `averaged_sd` are over all samples. `converged`
-    says whether the multivariate R-hat is below 1.1. InputError: options or prior parameters out of range, or known
-    signs.
+    The chains are those of `sample_posterior`. `pip` is Rao-Blackwellised: the mean of p(z_i = 1 | z_-i, y) over the
+    samples. Coefficients and covariance are those of the median probability model, exact given the model; `averaged` is
+    over all samples. `converged` says whether the multivariate R-hat is below 1.1. InputError: options or prior
+    parameters out of range, or known signs.
     """
     prior = prior or Prior()
     prior.refuse_signs("gibbs")

@@ -18,13 +18,8 @@ from bayeq.kernels import kernel
 
 # Where fields of version 0.2 stand; their names go in 0.5.
 MOVED = {
-    **{
-        name: f"details.{name}"
-        for name in (
-            *("method", "n_iter", "converged", "slab_variance", "bounds", "contradicted"),
-            *("elbo", "elbo_trace", "optimum", "rhat"),
-        )
-    },
+    **{name: f"details.{name}" for name in ("method", "n_iter", "converged", "slab_variance", "bounds")},
+    **{name: f"details.{name}" for name in ("contradicted", "elbo", "elbo_trace", "optimum", "rhat")},
     "center": "constant.center",
     "target_mean": "constant.mean",
     "target_mean_variance": "constant.variance",

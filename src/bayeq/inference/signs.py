@@ -316,10 +316,8 @@ def _parts(limits: Floats, models: Bools) -> Iterator[slice]:
 def signed_scores(
     p: Problem, limits: Floats, models: Bools, window: float = math.inf, top: float = -math.inf
 ) -> tuple[Floats, Floats]:
-    """Log posteriors of K models, up to `search.log_constant`, without the probability of right signs and with it.
-
-    The second is a bound from above where it is not within `window` nats of the best, or of `top`.
-    """
+    """Log posteriors of K models, up to `search.log_constant`, without the probability of right signs and with it: a
+    bound from above where it is not within `window` nats of the best, or of `top`."""
     without, value = np.empty(len(models)), np.empty(len(models))
     for part in _parts(limits, models):
         found = Truncation(p, limits, models[part])

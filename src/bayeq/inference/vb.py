@@ -286,12 +286,11 @@ def spike_slab_vb(
 ) -> Posterior:
     """Variational posterior under spike-and-slab priors, by default the paper's, of a standardised Gram.
 
-    VB can only prune (a term with w = 0 never returns) and keeps false terms of a correlated dictionary, so its optimum
-    is the optimum of its start, `init`. "rvm" starts from the RVM's gamma as the paper does; "search" (default) from
-    several points, the RVM and the best models of a search on the collapsed tableau, and keeps the highest ELBO;
-    "greedy" from the one model that adding and dropping single terms leads to; an array (P,) gives w itself. With
-    "search", `models` (P,) are those to start from, and those near them, instead of the RVM and the empty model. An
-    ascent stops when the ELBO rises by less than the tolerance, eq. (27), or after `max_iter` sweeps.
+    VB can only prune and keeps false terms of a correlated dictionary, so its optimum is that of its start, `init`.
+    "rvm" starts from the RVM's gamma as the paper does; "search" from the RVM and the best models of a search on the
+    collapsed tableau, or from `models` (P,) and those near them, and keeps the highest ELBO; "greedy" from the one
+    model that adding and dropping single terms leads to; an array (P,) gives w itself. An ascent stops when the ELBO
+    rises by less than the tolerance, eq. (27), or after `max_iter` sweeps.
 
     Of the posterior `pip` holds w, `elbo` the bound (28) with its misprint corrected. InputError: options or prior
     parameters out of range, or known signs.

@@ -37,10 +37,6 @@ SUSPECTED, AS_SAID = 8.0, 1e-3
 CONTRADICTED = 4.0
 
 
-# No coefficient.
-NONE = np.zeros(0)
-
-
 class Calibration(NamedTuple):
     """What is known of the factors of some channels."""
 
@@ -148,7 +144,8 @@ def _directions(task: Task, state: State, here: Statistics, sought: Sequence[tup
                 seen = -spline_slopes(time, seen[:, None])[:, 0]
             samples[:, i] += 1.0 if off == "offset" else seen
             square[k] += float(np.nansum(samples[:, i] ** 2))
-            changes[..., k] = run_filter(at_rest._replace(residual=samples), NOTHING, still).standardised(NONE)[0]
+            changed = run_filter(at_rest._replace(residual=samples), NOTHING, still)
+            changes[..., k] = changed.standardised(np.zeros(0))[0]
         pieces.append((left, columns, changes))
     left, columns, changes = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
     alone = changes - columns @ (here.covariance @ np.einsum("tmr,tmi->ri", columns, changes))

@@ -184,10 +184,7 @@ def of_inputs(linears: Sequence[Linear], levels: Levels) -> float:
 
 
 def log_mean(log_of: Callable[[float], float], low: float, high: float, peak: float) -> tuple[float, float]:
-    """ln of the mean of a positive function between two numbers, and where it was largest, given the place of a peak.
-
-    By the trapezoidal rule, intervals halved beside the largest value until it changes by less than `size_step` there.
-    """
+    """ln of the mean of a positive function between two numbers, and where it is largest, given about a peak."""
     peak = min(max(peak, low), high)
     grid = np.linspace(low, high, LIKELIHOOD.discrepancy_sizes).tolist()
     at, logs = [peak], [log_of(peak)]

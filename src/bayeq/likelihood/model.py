@@ -258,7 +258,7 @@ def fit(task: Task, state: State, coarse: bool = False, calm: int = 0) -> Fitted
 
 
 def over_all_sizes(task: Task, fitted: Fitted, beside: Fitted | None = None) -> Fitted:
-    """The fit, or a likelier one from other sizes, with its evidence averaged over the sizes of its discrepancies.
+    """The fit, or a likelier one from other sizes of its discrepancies, its evidence averaged over these sizes.
 
     Equations with the same terms in a fit `beside` take its averages.
     """

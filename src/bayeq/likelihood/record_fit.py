@@ -47,7 +47,6 @@ HARDLY = 0.1
 # variance, differ by more nats than this: two standard errors.
 SOME, READ = 0.05**2, 2.0
 
-
 # Constants are others where they differ by this share of their range.
 APART = 0.01
 
@@ -418,16 +417,13 @@ def fit_record(
     conserved: Mapping[int, float] | None = None,
     others: Sequence[tuple[Motion, Sequence[Expression], Sequence[Gram]]] = (),
 ) -> RecordFit | None:
-    """Fit P candidates to the training rows of some motion, with time and smoothed.
+    """Fit P candidates to the training rows of some motion, with time and smoothed; long records in stretches at first.
 
-    Of long records the model is first looked for in stretches. `log_odds`, (C, P + 1), are of each candidate, and of
-    the constant, not being zero; `grams` of the smoothed rows, one per equation; `tolerance` as in `bayeq.discover`;
-    `stated` is what is known of coefficients before; `conserved` has the factors of the states, by the number of the
-    equation, of a sum that is conserved. `others` are other first paths of hidden states, terms with the constants of
-    their laws, and Grams: searches start from each, and the likeliest fit is taken.
-
-    None where the likelihood cannot be evaluated: terms that are not finite beside the path, or motion that no model
-    found stays near.
+    `log_odds`, (C, P + 1), are of each candidate, and of the constant, not being zero; `grams` of the smoothed rows,
+    one per equation; `stated` is what is known of coefficients before; `conserved` has the factors of the states, by
+    the number of the equation, of a sum that is conserved. `others` are other first paths of hidden states, terms with
+    the constants of their laws, and Grams: searches start from each, and the likeliest fit is taken. None where the
+    likelihood cannot be evaluated.
     """
     with np.errstate(all="ignore"), suppress(np.linalg.LinAlgError):
         some, places = _stretches(motion)

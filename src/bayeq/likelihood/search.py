@@ -57,10 +57,7 @@ WIDER, CLEARLY = (10.0, 100.0), 3.0
 
 
 def widened(task: Task, fitted: Fitted) -> Task:
-    """The task with a wider prior of the coefficients, where the likeliest model is clearly likelier under it.
-
-    Terms that cancel each other have coefficients far larger than either would need alone.
-    """
+    """The task with a wider prior of the coefficients, which terms that cancel need, if it is clearly likelier."""
     tasks = [task, *(replace(task, precision=task.precision / factor, recent=[]) for factor in WIDER)]
     values = [best_models(one.problem(fitted.quadratic))[0][0] for one in tasks]
     return tasks[int(np.argmax(np.array(values) - CLEARLY * (np.arange(len(tasks)) > 0)))]
@@ -102,10 +99,7 @@ def steady(task: Task, state: State) -> bool:
 
 
 def rounds(task: Task, state: State, coarse: bool) -> tuple[Task, Fitted]:
-    """The best of fits, each of the model that is likeliest on the Gram of the one before, until that stays.
-
-    Between coarse fits priors may become wider, and steps of the integration finer: the task has these.
-    """
+    """The best of fits, each of the model that is likeliest on the Gram of the one before, and its task."""
     best = now = fit(task, state, coarse)
     seen = {now.model.tobytes()}
     for _ in range(ROUNDS):

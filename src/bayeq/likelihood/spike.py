@@ -155,10 +155,7 @@ def freed(layout: Layout, state: State, first: int) -> list[Freed]:
 
 @dataclass(eq=False)
 class Soft:
-    """The likelihood of all candidates about a fit, beside functions of some size in each equation.
-
-    Where an equation has few candidates the functions are of hidden ones as well, which no model has.
-    """
+    """The likelihood of all candidates about a fit, hidden ones too if they are few, beside functions of some size."""
 
     task: Task  # the fit
     fitted: Fitted

@@ -58,7 +58,6 @@ NEARLY_NOTHING = 1e-8
 # Rounds in which each equation takes its share.
 ROUNDS = 20
 
-
 # Why a term is left out that another one is the same as.
 COPY = "a copy of {} on the data"
 

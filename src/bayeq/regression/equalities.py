@@ -114,10 +114,7 @@ class Equalities:
         return cls(tuple(names), kept, eliminated, slopes[:, kept], offsets)
 
     def reduce(self, gram: Gram) -> Gram:
-        """Statistics of y - D_e q on D_k + D_e C; those of `gram` itself if there are no equations.
-
-        Columns that cancel but for rounding are columns of zeros.
-        """
+        """Statistics of y - D_e q on D_k + D_e C; columns that cancel but for rounding are columns of zeros."""
         if not len(self.eliminated):
             return gram
         k, e, C, q = self.kept, self.eliminated, self.slopes, self.offsets

@@ -241,7 +241,6 @@ EXACTLY = 1e-6
 # Methods that average over the models of all equations together.
 JOINT = ("auto", "bma")
 
-
 # Log odds of the constant otherwise: those of a term, p_0 = 0.1.
 CONSTANT = math.log(0.1 / 0.9)
 

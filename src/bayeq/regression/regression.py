@@ -365,9 +365,8 @@ class RecordRegression(Regression):
         own[kept], sd[kept] = theta[:r], np.sqrt(np.diagonal(covariance))[:r]
         every = np.full(len(kept), np.inf)
         every[kept] = np.maximum(freedom[:r], LEAST_FREEDOM)
-        found = replace(
-            found, projected=Projected(own, sd, every, moved.share, moved.share * math.sqrt(left.target), left.lines)
-        )
+        error_sd = moved.share * math.sqrt(left.target)
+        found = replace(found, projected=Projected(own, sd, every, moved.share, error_sd, left.lines))
         return _with_constant(found, theta + change, both)
 
 
@@ -467,10 +466,7 @@ def _may_hide_noise(pieces: Sequence[Floats]) -> bool:
 def changes_by_noise(
     regression: Regression, posterior: Posterior, name: str, shares: Sequence[float]
 ) -> dict[str, tuple[float, ...]]:
-    """What noise of an input, as shares of its deviation, would have done to coefficients that neglect it.
-
-    Of each term of the posterior with the input, the relative error of its coefficient at each share.
-    """
+    """Relative errors of coefficients that neglect noise of an input, at each share of its standard deviation."""
     spread = float(np.std(np.concatenate([rows.columns[name] for rows in regression.motion.train])))
 
     def shifted(column: str, values: Floats, step: float) -> Floats:

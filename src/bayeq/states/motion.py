@@ -70,9 +70,8 @@ class Motion:
     holdout: float  # share of the rows of each record, the last, that is held out
     sensors: Sensors = field(default_factory=Sensors)  # what is known of the channels
     band: tuple[float, float] | None = None  # frequencies [Hz] in which the records are believed
-    courses: Mapping[str, Interpolation] = field(
-        default_factory=dict
-    )  # how inputs go between samples, where not smooth
+    # how inputs go between samples, where not smooth
+    courses: Mapping[str, Interpolation] = field(default_factory=dict)
     noise_sd: Mapping[str, float] = field(default_factory=dict)  # of channels, in their units, by the likelihood
     seams: tuple[int, ...] = ()  # where each record was divided to be smoothed; empty if it was not
 

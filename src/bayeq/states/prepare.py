@@ -48,9 +48,9 @@ def cleaned(
 ) -> tuple[list[Record], list[str]]:
     """The records of one system, row by row, with NaN in place of bad samples; with "none" as they are.
 
-    And a message for each channel of which samples are missing or left out. Bad samples are judged by what was
-    `learned` of other records of the system; what is missing there is added. An UnknownNameError or RecordError names
-    channels that are missing, or of which most samples are infinite or too large to square.
+    And a message for each channel of which samples are missing or left out, judged by what was `learned` of other
+    records. An UnknownNameError or RecordError names channels that are missing, or mostly infinite or too large to
+    square.
     """
     if smooth == "none":
         return list(records), []

@@ -114,10 +114,7 @@ def known_sensors(
     tails: Tails = "gauss",
     lag_sd: Mapping[str, float | str] | None = None,
 ) -> Sensors:
-    """What was given of the channels of some records, in their units, but of channels that are not measured apart.
-
-    An InputError refuses noise that exceeds what was measured.
-    """
+    """What was given of channels of some records, in their units; an InputError refuses more noise than samples."""
     used = roles.channels
     levels, readings = dict[str, float](), dict[str, float]()
     gains = {name: _amount("gain_sd", name, v)[0] for name, v in gain_sd.items() if name in used}
@@ -287,9 +284,8 @@ def unit_gains(
 ) -> Floats:
     """Factor of each derivative's channel to the derivative in the unit that the lowest measured one implies, (K+1,).
 
-    It is 1 below the lowest measured channel; that of the channel below, where one above it is not measured; negative
-    for a channel of the opposite sign. It is learned from the first `rows` of each record, by default from all; NaN is
-    a missing sample. Where the factors of sensors may be off, by `gain_sd`, what they may explain is no unit.
+    That of a channel below where it is not measured; negative for the opposite sign. It is learned from the first
+    `rows` of each record, by default all. What the factors of sensors, off by `gain_sd`, may explain is no unit.
     """
     cuts = [record.n for record in records] if rows is None else list(rows)
     gains, gain_sd = np.ones(chain.order + 1), gain_sd or {}
@@ -329,10 +325,7 @@ class _Estimate(NamedTuple):
 
 
 def _decided(stated: float | None, found: _Estimate | None, acceleration: bool) -> float:
-    """The stated ratio; without one the first usual ratio that the estimate agrees with, or else the nearest.
-
-    What differs by more than calibration is left as it is found; so are signs.
-    """
+    """The stated ratio, the first usual one that agrees with the estimate, or else the nearest or the estimate."""
     if found is None:
         return 1.0 if stated is None else stated
     usual = (1.0, *PREFIXES, *(IN_G if acceleration else ()), *ANGLES, *OTHERS)

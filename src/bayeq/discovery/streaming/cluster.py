@@ -281,10 +281,7 @@ def _require_workers(client: Any) -> None:
 
 @contextmanager
 def connected(address: str) -> Iterator[Any]:
-    """The client of a cluster, by the address of its scheduler, tcp://host:8786, or the file that it wrote.
-
-    InputError where nobody answers; MissingExtraError without Dask.
-    """
+    """The client of a cluster, by the address of its scheduler or its file; an InputError where nobody answers."""
     with needing("distributed", "dask", "work on a cluster"):
         from distributed import Client
     found = _in_file(address)

@@ -29,9 +29,10 @@ from bayeq.inference.gram import from_moments
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.block import Block, Curvature, curvature, relearned
 from bayeq.likelihood.record_fit import RecordFit
+from bayeq.numerics.distributions import memory_of
 from bayeq.numerics.settings import STREAMING
 from bayeq.regression.design import Design, usable_terms
-from bayeq.regression.residuals import Residuals, memory_of
+from bayeq.regression.residuals import Residuals
 from bayeq.resumable import Progress
 from bayeq.states import Motion
 from bayeq.states.bad_samples import Learned
@@ -119,9 +120,9 @@ class Whole:
                 f"{block.lost:,} of {self.n:,} rows could not be used: look at them, or leave them out (--rows)",
                 DataWarning,
             )
-        names = (*motion.roles.measured, *motion.roles.inputs)
         for counts, what in zip(block.absent.tolist(), ("are missing", "were left out as bad"), strict=True):
-            listed = [f"{count:,} of {name}" for name, count in zip(names, counts, strict=False) if count]
+            pairs = zip(motion.roles.channels, counts, strict=False)
+            listed = [f"{count:,} of {name}" for name, count in pairs if count]
             if listed:
                 log.warn(
                     f"of all {self.n:,} rows these samples {what}: {some_of(listed, 40)}; check the sensors",

@@ -25,10 +25,10 @@ from bayeq.kernels import kernel
 from bayeq.likelihood.block import Block, block_of
 from bayeq.likelihood.fit import State
 from bayeq.likelihood.model import Task
+from bayeq.numerics.distributions import correlation
 from bayeq.numerics.settings import STREAMING
 from bayeq.records import Record, counts_rows, with_row_numbers
 from bayeq.records.stream import Stream, units_between
-from bayeq.regression.residuals import correlation
 from bayeq.resumable import Progress
 from bayeq.states import Motion, Roles
 from bayeq.states.bad_samples import Learned
@@ -417,7 +417,6 @@ class ByLikelihood(Work[Block]):
         (clean,), _ = cleaned([record], roles, "auto", deepcopy(self.learned))
         pieces, _ = divided_at_gaps([clean], roles, "auto")
         block = block_of(self.task, self.state, [further_rows(piece, self.motion) for piece in pieces if piece.n > 1])
-        used = (*roles.measured, *roles.inputs)
-        missing, absent = ([int(np.isnan(one[name]).sum()) for name in used] for one in (record, clean))
+        missing, absent = ([int(np.isnan(one[name]).sum()) for name in roles.channels] for one in (record, clean))
         # samples of each channel that are missing, and that were left out as bad
         return replace(block, absent=np.array([missing, np.subtract(absent, missing)]))

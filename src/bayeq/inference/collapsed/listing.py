@@ -157,10 +157,7 @@ def _pop(heap: Ints, size: int | np.int64, scores: Floats) -> int:
 
 
 class _Listing(NamedTuple):
-    """Models met, (room, P), with their scores and keys; a table of these; a heap of those to expand; how many of both.
-
-    `counts` are the number of models and the size of the heap.
-    """
+    """Models met, (room, P), their scores and keys, a table of these, a heap of those to expand; how many of both."""
 
     models: Bools
     scores: Floats

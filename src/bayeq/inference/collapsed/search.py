@@ -18,7 +18,6 @@ from bayeq.kernels import kernel
 FULL_START_TERMS = 128
 RVM_START_TERMS = 500
 
-
 # What becomes of the models that are given to `explore`.
 STAY, FLIP, SWAP = 0, 1, 2
 
@@ -172,10 +171,7 @@ def default_starts(problem: Problem) -> list[Bools]:
 
 
 def candidate_models(problem: Problem, starts: list[Bools], window: float = 2.0, limit: int = 6) -> list[Bools]:
-    """The best models found from some and those one move away, within `window` nats of the best and at most `limit`.
-
-    The optimum of VB may belong to a model slightly below the best one.
-    """
+    """The best models found from some and those a move away, within `window` nats of the best, at most `limit`."""
     climbed = np.array(starts, dtype=np.bool_)
     scores, moves = explore(problem, climbed, SWAP, window)
     found = _ranked(scores, climbed)

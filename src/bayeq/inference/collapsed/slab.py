@@ -133,10 +133,7 @@ def exact_posterior(problem: Problem, active: Bools, limits: Floats | None = Non
 
 
 def likeliest_by_rows(gram: Gram, allowed: Bools | None = None, most: float = math.inf) -> tuple[Bools, Floats]:
-    """The likeliest model of a regression, cut down to `most` terms, and its coefficients, (P,) each.
-
-    The slab variance of the paper's prior is learned; only terms that are `allowed` may be in.
-    """
+    """The likeliest model of a regression, of `most` terms that are `allowed`, and its coefficients, (P,) each."""
     standard = gram.standardise(residual_scale(gram))
     first = Prior() if allowed is None else Prior(prior_inclusion=np.where(allowed, 0.1, 0.0))
     prior = replace(first, slab_variance=learn_slab_variance(standard.gram, first))

@@ -313,10 +313,7 @@ def best_swap(p: Problem, T: Tableau, least: float) -> tuple[float, int, int]:
 
 @kernel
 def climb(p: Problem, T: Tableau, active: Bools, swaps: bool) -> float:
-    """Steepest ascent from a model by flips, and with `swaps` by swaps where no flip improves; returns what is gained.
-
-    T and `active` are changed in place; forced and forbidden terms are left as they are.
-    """
+    """Steepest ascent from a model, in place, by flips, and with `swaps` where none improves by swaps; its gain."""
     terms = len(active)
     gained = 0.0
     gains = np.empty(terms)

@@ -189,10 +189,9 @@ def _bounded(series: ChainSeries) -> ChainSeries:
 def _coordinate_sd(series: Sequence[ChainSeries], lowest: int, model: KinematicModel) -> float:
     """How near to zero the samples of an unmeasured coordinate are taken to be.
 
-    Integrating the channel multiplies its noise by 1/omega^lowest, which is without bound. Below the frequency f_low at
-    which its signal comes out of its noise nothing is known of the coordinate but that it does not run away: zeros of
-    the standard deviation sigma/omega_low^lowest weigh there as much as the channel does at f_low. A RecordError
-    refuses uneven steps of time, records at different rates, and a signal that never comes out of its noise.
+    Below the frequency f_low at which a channel's signal comes out of its noise nothing is known of the coordinate but
+    that it does not run away: zeros of the standard deviation sigma/omega_low^lowest weigh there as much as the channel
+    does at f_low. A RecordError refuses uneven steps, records at different rates, and a signal that never comes out.
     """
     from scipy.special import chdtri  # which takes a while to import
 

@@ -254,10 +254,7 @@ def filter_gains(
 
 @kernel
 def filter_means(samples: Floats, steps: Floats, orders: Ints, tables: Tables) -> float:
-    """Innovations and means, from gains; returns the sum of squared standardised innovations.
-
-    `samples`, (n, c), are any finite numbers where none is present.
-    """
+    """Innovations and means, from gains; the sum of squared standardised innovations. Missing samples are finite."""
     n, c = samples.shape
     index, anew, gains, inverse, means = tables.entry, tables.anew, tables.gains, tables.inverse, tables.means
     m = gains.shape[2]

@@ -216,10 +216,7 @@ class Rows:
         return -float(self.present.sum(axis=0) @ np.log(self.units(self.measured)))
 
     def filter(self, order: int, density: float, noise_sd: Floats, initial_sd: Floats, keep: bool = False) -> Filtered:
-        """Filter the record by a model of order m and density Q; with `keep` for the smoother too.
-
-        Standard deviations are those of the channels' noise, (K+1,), and of the first state, (m,).
-        """
+        """The record filtered by a model of order m, density Q and sds of noise, (K+1,), and first state, (m,)."""
         (n, c), m = self.samples.shape, order - self.lowest
         orders = self.measured - self.lowest
         variances = (noise_sd[self.measured] / self.units(self.measured)) ** 2
