@@ -90,14 +90,6 @@ def _threshold(K: Floats, c: Floats, threshold: float, ridge: float, max_iter: i
     return -max_iter
 
 
-@kernel
-def _threshold_path(K: Floats, c: Floats, thresholds: Floats, ridge: float, max_iter: int) -> Floats:
-    out = np.empty((len(thresholds), len(c)))
-    for k in range(len(thresholds)):
-        _threshold(K, c, thresholds[k], ridge, max_iter, out[k])
-    return out
-
-
 def _moments(gram: GramLike, centred: bool) -> tuple[Floats, Floats]:
     """D'D and D'y, about the means or about zero."""
     K, c = np.ascontiguousarray(dense(gram)), np.ascontiguousarray(gram.Dty)
@@ -164,7 +156,9 @@ def sweep_stlsq(
         least_squares(K, c, np.ones(len(c), dtype=np.bool_), ridge, full)
         sizes = np.abs(full[full != 0.0])
         thresholds = np.geomspace(sizes.min(), sizes.max(), SWEEP) if len(sizes) else np.zeros(1)
-    path = _threshold_path(K, c, np.asarray(thresholds, dtype=np.float64), ridge, max_iter)
+    path = np.empty((len(thresholds), len(c)))
+    for threshold, coef in zip(np.asarray(thresholds, dtype=np.float64), path, strict=True):
+        _threshold(K, c, threshold, ridge, max_iter, coef)
     errors = [_score(gram, K, c, held_out, theta) for theta in path]
     best = path[int(np.argmin(errors))]
     return _posterior(gram, K, c, best, ridge, True, len(path))

@@ -228,15 +228,9 @@ def move_to(p: Problem, T: Tableau, current: Bools, model: Bools) -> None:
         renew(p, T, current)
 
 
-@kernel
 def active_block(T: Tableau, index: Ints) -> Floats:
     """A^-1 of the active terms `index`, (r, r)."""
-    r = len(index)
-    out = np.empty((r, r))
-    for a in range(r):
-        for b in range(r):
-            out[a, b] = -T.rows[T.row[index[a]], index[b]]
-    return out
+    return -T.rows[np.ix_(T.row[index], index)]
 
 
 @kernel
@@ -281,8 +275,7 @@ def flip_gains(p: Problem, T: Tableau, out: Floats) -> None:
 
 @kernel
 def swap_gains(p: Problem, T: Tableau, i: int, out: Floats) -> None:
-    """Change of the log posterior when active term i leaves and each inactive one enters, into `out`; -inf if
-    forbidden."""
+    """Change of the log posterior as active term i is replaced by each inactive one, into `out`; -inf: forbidden."""
     diagonal, partial, row, log_odds = T.diagonal, T.partial, T.row, p.log_odds
     own = T.rows[row[i]]
     floor, h, s, price = p.floor, p.h, max(diagonal[-1], p.floor), log_odds[i]
@@ -340,8 +333,7 @@ def climb(p: Problem, T: Tableau, active: Bools, swaps: bool) -> float:
 
 @kernel
 def score(p: Problem, active: Bools, slab_variance: float) -> float:
-    """Log posterior of one model up to `search.log_constant`, at any v_s, from scratch: a Cholesky factor does not
-    drift."""
+    """Log posterior of one model up to `search.log_constant`, at any v_s, by Cholesky: it does not drift."""
     index = np.empty(len(active), np.int64)
     r = 0
     for j in range(len(active)):
