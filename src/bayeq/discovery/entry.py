@@ -455,8 +455,7 @@ def _of_all_rows(question: Question, whole: Whole) -> tuple[Equations, WarningLo
 
 
 def extents_of(records: Any, t: Any, stream: bool | None, clustered: bool = False) -> tuple[Extent, ...] | None:
-    """The rows of files that are read some at a time, on a cluster of all files; None of records that are taken
-    whole."""
+    """The rows of files that are read some at a time, on a cluster of all; None of records that are taken whole."""
     several = isinstance(records, Sequence) and not isinstance(records, (str, bytes))
     items = list(records) if several else [records]
     if items and all(isinstance(one, Extent) for one in items):

@@ -28,8 +28,7 @@ from bayeq.states.prepare import numbered
 def dictionaries_of(
     dictionary: Specification, roles: Roles, variables: Variables
 ) -> tuple[tuple[Expression, ...], Bools]:
-    """The candidates of all equations that are not stated; a ChainError refuses a hidden state without law and
-    dictionary."""
+    """The candidates of all equations that are not stated; a ChainError refuses a hidden state without any."""
     targets = roles.sought
     found = roles.hidden[: len(targets) - len(roles.seen.chains)]
     if found and of_equations(dictionary, targets) is None:
@@ -96,8 +95,7 @@ def without_hidden(terms: Sequence[Expression], allowed: Bools, roles: Roles) ->
 def hidden_states(
     design: Design, record: RecordFit | None, likelihood: Callable[[Design], RecordFit | None]
 ) -> tuple[HiddenState, ...]:
-    """The hidden states of a design, with log odds of the equations without them, by the `likelihood` of other
-    designs."""
+    """The hidden states of a design, with log odds of the equations without them, by the `likelihood` of these."""
     motion = design.motion
     if not motion.roles.hidden:
         return ()

@@ -343,8 +343,7 @@ class Question:
     def _kept(
         self, terms: tuple[Expression, ...], known: Sequence[str], motion: Motion, log: WarningLog
     ) -> tuple[tuple[Expression, ...], Bools]:
-        """The candidates, and where they may stand; of too many those that explain most, or that something is known
-        of."""
+        """The candidates, and where they may stand; of too many those that explain most, or that are constrained."""
         most = LIKELIHOOD.most_candidates // len(motion.roles.chains) - 1
         if len(terms) <= most:
             return terms, self.allowed

@@ -223,7 +223,7 @@ STARTS = 100
 
 @kernel
 def _blocks(p: Problem, known: Bools, models: Bools, most: int) -> tuple[Ints, Floats, Floats, Floats, Floats]:
-    """Of each model its constrained terms (K, `most`), then -1; their means and covariances over sigma^2; s; the
+    """Of each model its constrained terms (K, `most`), or -1; their means, and covariances over sigma^2; s; the
     score."""
     count = len(models)
     terms = np.full((count, most), -1)

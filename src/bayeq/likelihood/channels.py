@@ -46,8 +46,7 @@ class Calibration(NamedTuple):
 
 
 def calibration_of(task: Task, state: State, power: float = 1.0) -> Calibration:
-    """The factors of channels about a fit, those that were taken out of the samples included; the likelihood is raised
-    to `power`."""
+    """Factors of channels about a fit, what was taken out included; the likelihood is raised to `power`."""
     uncertain = task.layout.uncertain
     if not uncertain:
         return Calibration({}, np.zeros((0, 0)), 0.0)
@@ -191,8 +190,7 @@ def first_lags(motion: Motion, terms: Sequence[Expression]) -> Mapping[str, Lag]
 
 
 def lags_of(task: Task, state: State, power: float = 1.0) -> Mapping[str, Lag]:
-    """The lags of channels about a fit, what was taken out of the samples included: those of all records, averaged by
-    their information. The likelihood is raised to `power`."""
+    """Lags of channels about a fit, what was taken out included, averaged over records; `power` as for factors."""
     found, out = task.marginal(state), {}
     for (channel, lag), s in zip(task.layout.late, task.layout.lags, strict=True):
         known, weights, total = lag.prior_sd**-2.0, 0.0, 0.0

@@ -105,8 +105,7 @@ def _at_peaks(
 def _peaks(
     score: Callable[[Sequence[float]], float], places: Sequence[Floats], inner: Bools
 ) -> list[tuple[float, ...]]:
-    """Where a score is highest on a grid, within the nodes about its peaks, the highest first; the ends of axes
-    `inner`, (n,), have none."""
+    """Where a score is highest on a grid, within nodes about its peaks, none at the ends of axes `inner`, (n,)."""
     from scipy.ndimage import maximum_filter
     from scipy.optimize import minimize
 

@@ -257,8 +257,7 @@ class Layout:
         return np.stack([evaluate(Expression(node)) for node in free], axis=1), np.moveaxis(shared, 2, 0).copy()
 
     def tape(self, chosen: Candidates) -> Tape:
-        """Rates of states (of maps next values), targets and terms; of implicit equations bare targets and (I -
-        A)^-1 too."""
+        """Rates of states (of maps next values), targets and terms; if implicit bare targets and (I - A)^-1 too."""
         parameters = [f"theta[{j}]" for j in range(len(chosen.chain))]
         targets: list[Node] = [Symbol(f"d[{c}]") for c in range(self.chains)]
         terms: list[Node] = [self.blurred[j].tree if j < len(self.terms) else number(1) for j in chosen.term]

@@ -324,8 +324,7 @@ def calmed(state: State) -> State:
 
 
 def from_all_levels(task: Task, state: State, beside: Fitted | None = None) -> Fitted:
-    """The likelier fit of a model of those that start from the levels as they are, and from less discrepancy; `beside`
-    as in `over_all_sizes`."""
+    """The likelier fit of a model, of those from the levels as they are and from less discrepancy, over all sizes."""
     first = fit(task, state)
     if (state.levels.kappa >= NOTICED).any():
         much = bool((state.levels.kappa > LIKELIHOOD.explains_much).any())

@@ -103,8 +103,7 @@ class RecordFit:
         return max(float(scores[0] - scores[1]), 0.0)
 
     def of_more(self, task: Task, state: State, quadratic: Quadratic, block: Block) -> RecordFit:
-        """What the likelihood of more rows about a fit to some of them, a quadratic at a state with levels of all,
-        tells; the block is of all rows."""
+        """The fit by the likelihood of more rows: the quadratic is at a state with levels of all, the block of all."""
         task = replace(task, series=self.task.series, counted=block.samples)
         state = replace(state, paths=self.fitted.state.paths)
         fitted = replace(self.fitted, expand=partial(replace, quadratic), state=state, tried={})

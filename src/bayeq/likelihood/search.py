@@ -84,8 +84,7 @@ def likeliest(task: Task, fitted: Fitted) -> State:
 
 
 def steady(task: Task, state: State) -> bool:
-    """Whether a step multiplies deviations from the path by less than `most_growth`, and ends near the path; those of
-    chaotic maps may grow by more."""
+    """Whether a step ends near the path, and multiplies deviations by less than `most_growth`, but for maps."""
     spread = np.sqrt(state.levels.scales.variance[: task.layout.motion])
     most = math.inf if task.layout.discrete else LIKELIHOOD.most_growth
     for linear in task.linearised(state):

@@ -87,8 +87,7 @@ def softened(q: Quadratic, root: Floats, spread: Floats) -> Quadratic:
 def isotropic(columns: Floats, moved: Sequence[Floats], deviation: float) -> Floats:
     """R, (p, K), of functions of columns in units of coefficients' priors: of root mean square `deviation`, all alike.
 
-    Directions in which columns, (n, p), change by `moved`, for the states are uncertain, more than along the path are
-    out.
+    Columns, (n, p), are along the path, `moved` what uncertain states change them by: more of that is noise.
     """
     unit = np.sqrt(len(columns)) * deviation
     _, size, axes = np.linalg.svd(np.linalg.qr(np.vstack([columns, *moved]), mode="r") / unit, full_matrices=False)

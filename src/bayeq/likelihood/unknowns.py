@@ -70,8 +70,7 @@ STEP = 1e-4
 
 
 def first_values(terms: Sequence[Expression], motion: Motion, allowed: Bools) -> tuple[Expression, ...]:
-    """Terms with the constants that explain most of the smoothed rows; an InputError says that a range has to be
-    written."""
+    """Terms with the constants that explain most of the smoothed rows; an InputError asks for a range."""
     found = tuple(terms)
     if not any(term.unknowns for term in terms):
         return found

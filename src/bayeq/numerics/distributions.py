@@ -106,8 +106,7 @@ def memory_of(covariance: Floats, n: int) -> tuple[float, float]:
 
 
 def excess_of(scores: Sequence[Floats]) -> tuple[float, float]:
-    """tr(J)/r of scores, (n, r) each, whose stated covariance is the identity, and its standard error of independent
-    ones."""
+    """tr(J)/r of scores, (n, r) each, whose stated covariance is the identity, and its standard error."""
     r, longest = scores[0].shape[1], max(map(len, scores))
     excess, square, lag = sum(float(np.sum(one**2)) for one in scores) / r, 0.0, 0
     while lag < min(LIKELIHOOD.correlated_lags * excess, longest - 1):

@@ -87,8 +87,7 @@ def with_time(time: Floats, inputs: Floats) -> Floats:
 
 
 def _thirds(samples: Floats) -> Floats:
-    """Samples (n, m) and what the transform of all but a straight line gives at the thirds between them, (3 n - 2,
-    m)."""
+    """Samples (n, m) and the transform's values at the thirds between, but for a straight line, (3 n - 2, m)."""
     n = len(samples)
     line = np.linspace(samples[0], samples[-1], 3 * n - 2)
     rest = samples - line[::3]

@@ -68,8 +68,7 @@ class Constraints:
         return np.where(bounded, self.limits, [-np.inf, np.inf]) if (bounded & np.isfinite(self.limits)).any() else None
 
     def among(self, allowed: Bools) -> Constraints:
-        """The same with the coefficients of terms that are not `allowed`, (P,), zero, and without what ties these
-        alone."""
+        """The same with terms that are not `allowed`, (P,), zero, and without what ties these alone."""
         if allowed.all():
             return self
         known = self.equalities

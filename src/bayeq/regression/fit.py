@@ -334,8 +334,7 @@ def fit_equations(
     tolerance: float | None = None,
     seed: int | tuple[int, ...] = 0,
 ) -> list[RegressionFit]:
-    """The posterior of every equation: of all together where the method and what is known allow it; otherwise as
-    `fit_regression`."""
+    """The posterior of every equation, of all together where the method allows it, otherwise by `fit_regression`."""
     record = regressions[0].record if isinstance(regressions[0], RecordRegression) else None
     free = prior is None and coarsen == 1.0 and not any(one.binding for one in constraints)
     if record is not None and method in JOINT and free:
@@ -355,8 +354,7 @@ def fit_equations(
 
 
 def refitted(fits: Sequence[RegressionFit], models: Sequence[Bools]) -> list[RegressionFit] | None:
-    """The same posteriors with the likelihood about other models of the terms, (P,) bool each; None where rows
-    count."""
+    """The same posteriors with the likelihood about other models, (P,) bool each; None where rows count."""
     first = fits[0].regression
     if not isinstance(first, RecordRegression) or any(len(one.constraints.equalities.eliminated) for one in fits):
         return None

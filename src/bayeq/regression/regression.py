@@ -114,8 +114,7 @@ class Regression:
         return False
 
     def tests(self) -> tuple[Discrepancy | None, Octave | None, Change | None]:
-        """A discrepancy that the motion needs, innovations that are not white, a coefficient that changes; none of
-        rows."""
+        """A discrepancy that is needed, innovations that are not white, a coefficient that changes; none of rows."""
         return None, None, None
 
     @property
@@ -128,8 +127,7 @@ class Regression:
         return not shows_noise([rows.columns[name] for rows in self.motion.train])
 
     def reported(self, found: Posterior, basis: Floats, limits: Floats | None, free: bool) -> Posterior:
-        """A posterior in original units as it is reported: within limits, (P, 2), unless `free` says that these
-        change nothing."""
+        """A posterior in original units as it is reported: with free coefficients by `basis`, within limits, (P, 2)."""
         return found
 
     def thinned(self) -> Regression:

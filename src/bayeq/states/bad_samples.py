@@ -183,8 +183,7 @@ class _Group:
 
     @classmethod
     def of_chain(cls, records: Sequence[Record], chain: Chain, learned: Learned) -> _Group:
-        """A chain from its lowest measured derivative on, in units that belong together, by its samples without
-        spikes."""
+        """A chain from its lowest measured derivative on, in units that belong together, found without spikes."""
         names = chain.measured[chain.lowest :]
         if sum(name is not None for name in names) == 1:
             gains = np.ones(len(names))

@@ -243,8 +243,7 @@ AROUND = (2, 1, -1, -2)
 
 
 def likened(channels: Sequence[Floats]) -> list[Floats]:
-    """Channels with missing samples taken from where those around them were most alike: a chaotic map may be
-    anywhere between."""
+    """Channels with missing samples taken from where those around were most alike: maps may be anywhere."""
     samples = np.column_stack(channels)
     scale = np.nanstd(samples, axis=0)
     around = np.hstack([np.column_stack([_moved(column, back) for column in samples.T]) for back in AROUND])
@@ -418,8 +417,7 @@ def _rough_noise(pieces: Sequence[Floats]) -> float:
 
 
 def _filter(records: Sequence[Record], cuts: Sequence[int], source: str, name: str) -> tuple[float, float] | None:
-    """Least-squares filter from one channel to another: standard deviation of what it leaves, and its gain for white
-    noise; None of too few rows."""
+    """Least-squares filter between channels: sd of what it leaves, gain for white noise; None of too few rows."""
     blocks, targets = [], []
     rows = 0
     for record, cut in zip(records, cuts, strict=True):

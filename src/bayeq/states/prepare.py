@@ -82,8 +82,7 @@ def without_impossible(records: Sequence[Record], names: Sequence[str]) -> tuple
 
 
 def divided_at_gaps(records: Sequence[Record], roles: Roles, smooth: Smooth) -> tuple[list[Record], list[str]]:
-    """Cleaned records in pieces without gaps too long to bridge, whole with "none"; a message for each that had
-    some."""
+    """Cleaned records in pieces without long gaps, whole with "none", and a message for each that had some."""
     if smooth == "none":
         return list(records), []
     return split_at_gaps(without_empty_rows(records, roles), roles.channels)
@@ -378,8 +377,7 @@ def without_hum(
 
 
 def _without_lines(values: Floats, above: float) -> tuple[Floats, list[float]]:
-    """Channels (n, M) without what they have at the frequencies of lines, the same for all; these [cycles per
-    sample]."""
+    """Channels (n, M) without what they have at the frequencies of lines, and these [cycles per sample]."""
     known, rows = np.isfinite(values), np.arange(len(values), dtype=np.float64)
     window, rest, lines = np.hanning(len(values) + 2)[1:-1], values, list[float]()
     while len(lines) < min(MOST_LINES, len(values) // ROWS_EACH):

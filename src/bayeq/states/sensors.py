@@ -114,7 +114,7 @@ def known_sensors(
     tails: Tails = "gauss",
     lag_sd: Mapping[str, float | str] | None = None,
 ) -> Sensors:
-    """What was given of channels of some records, in their units; an InputError refuses more noise than samples."""
+    """What was given of the channels of some records, in their units; an InputError refuses noise beyond these."""
     used = roles.channels
     levels, readings = dict[str, float](), dict[str, float]()
     gains = {name: _amount("gain_sd", name, v)[0] for name, v in gain_sd.items() if name in used}
@@ -155,8 +155,7 @@ def known_sensors(
 
 
 def force_of_blows(name: str, records: Sequence[Record]) -> Floats | None:
-    """Samples of blows, of a force that a window has made 0 between them; None of other channels, whose values
-    repeat."""
+    """Samples of blows, of a force that a window has made 0 between them; None of any other channel."""
     values = np.concatenate([np.asarray(record[name]) for record in records])
     values = values[np.isfinite(values)]
     blows = values[values != 0.0]
@@ -261,8 +260,7 @@ def rates(chain: Chain, gains: Sequence[float]) -> tuple[float, ...]:
 
 
 def of_no_unit(chain: Chain, gains: Sequence[float], units: Mapping[str, str]) -> tuple[str, str, float] | None:
-    """A channel, one below it, and by how much the first is too large to be its derivative; None if a unit explains
-    it."""
+    """A channel, one below it, and by how much the first is too large for its derivative, if no unit tells why."""
     measured = [(k, name) for k, name in enumerate(chain.measured[: len(gains)]) if name is not None]
     for place, (k, name) in enumerate(measured[1:], 1):
         found = []

@@ -69,8 +69,7 @@ class Whole:
         return used, self.n - used
 
     def design(self, motion: Motion, terms: Sequence[Expression], allowed: Bools, share: float) -> Design:
-        """A dictionary on the motion of stretches, with the statistics of all rows; the last `share` of them is held
-        out."""
+        """A dictionary on the motion of stretches, with the statistics of all rows, a `share` held out."""
         roles, terms = motion.roles, tuple(terms)
         work = AsMeasured(self.extents, roles, terms, share)
         names, targets = tuple(term.text for term in terms), len(roles.targets)

@@ -170,8 +170,7 @@ class Threads:
 def fold(
     work: Work[Of], units: Sequence[Unit], executor: Executor, progress: Progress, stage: str, kept: Any = None
 ) -> Of:
-    """The sum over units, of at least one, of what `work` computes; on the way it is kept in a Checkpoint, if one is
-    given."""
+    """The sum over units, of at least one, of what `work` computes; a Checkpoint, if given, keeps it on the way."""
     # One name for both: wherever an interrupt falls, they belong together.
     so_far: tuple[int, Any] = (0, None) if kept is None else kept.load()
     rows = [0, *accumulate(unit.n for unit in units)]

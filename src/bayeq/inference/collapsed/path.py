@@ -36,8 +36,7 @@ WINDOW = 40.0
 
 
 def path_sizes(problem: Problem, most: int | None = None) -> range:
-    """Sizes that a path goes through: from the number of forced terms to `most`; an InputError refuses less than
-    these."""
+    """Sizes that a path goes through: from the number of forced terms to `most`, or an InputError if that is less."""
     forced = int(np.sum(problem.log_odds == math.inf))
     allowed = min(int(np.sum(problem.log_odds > -math.inf)), MOST_ACTIVE)
     if most is None:

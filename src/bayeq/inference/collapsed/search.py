@@ -86,8 +86,7 @@ def log_constant(problem: Problem) -> float:
 
 
 def best_models(problem: Problem) -> list[tuple[float, Bools]]:
-    """Distinct local optima of ln p(y, z) under flips and swaps from `default_starts`, each with its score, best
-    first."""
+    """Distinct local optima of ln p(y, z) under flips and swaps from `default_starts`, best first, with scores."""
     models = np.array(default_starts(problem), dtype=np.bool_)
     return _ranked(explore(problem, models, SWAP, -math.inf)[0], models)
 

@@ -59,8 +59,7 @@ class ChainSmoothing:
         return np.asarray(density * information / (1.0 + density * (information + bound)))
 
     def follow(self, values: Floats) -> Floats:
-        """Columns (n, k) as the smoother would show them: filtered by its gain, reflected at the ends, if sampled
-        uniformly."""
+        """Columns (n, k) as the smoother would show them, reflected at the ends; as they are if sampled unevenly."""
         n = len(values)
         if self.fs is None or n < 3 or not values.shape[1]:
             return values
@@ -74,8 +73,8 @@ class ChainSmoothing:
         return np.asarray(filtered[reach : reach + n])
 
     def inner(self, n: int) -> slice:
-        """Of n rows those further from either end than the smoother's memory, at most a tenth of the rows, where it
-        knows least."""
+        """Of n rows those beyond the smoother's memory, at most a tenth of them, from either end: there it knows
+        least."""
         memory = 0 if self.fs is None else int(np.ceil(self.fs / max(self.band[1], self.fs / max(n, 1))))
         reach = min(memory, n // 10)
         return slice(reach, n - reach)
