@@ -70,10 +70,7 @@ STEP = 1e-4
 
 
 def first_values(terms: Sequence[Expression], motion: Motion, allowed: Bools) -> tuple[Expression, ...]:
-    """Terms with values of their constants that explain most of the smoothed rows beside the other terms.
-
-    An InputError says that a range has to be written.
-    """
+    """Terms with the constants that explain most of the smoothed rows; an InputError asks for a range."""
     found = tuple(terms)
     if not any(term.unknowns for term in terms):
         return found
@@ -103,8 +100,8 @@ def first_members(motion: Motion, terms: Sequence[Expression], log_odds: Floats)
 def with_constants(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fitted, Forms]:
     """A fit with its constants where they are likeliest, and the likeliest members of its choices.
 
-    The task then has terms of these values, and odds that know how wide their ranges are; the forms are the log
-    posteriors of the members, but for those that are not finite beside the motion.
+    Odds of the task know how wide ranges are; the forms are the log posteriors of members that are finite on the
+    motion.
     """
     terms = task.layout.terms
     choices = _choices(terms)
@@ -262,10 +259,8 @@ def _on_gram(task: Task, fitted: Fitted, family: Sequence[int], values: Sequence
 def _beside(
     task: Task, fitted: Fitted, others: Sequence[Expression], each: Sequence[int]
 ) -> tuple[Quadratic, Floats, Floats]:
-    """The likelihood about zero of further terms too, and precision and log odds of all.
-
-    Those of the further terms, which come in groups as `each`, are as of these terms, by their variance.
-    """
+    """The likelihood about zero of further terms too, and precision and log odds of all: those of the further terms,
+    which come in groups as `each`, are as of these terms, by their variance."""
     layout, P = task.layout, len(task.layout.terms)
     own, state = extended(task, fitted.state, others)
     linears, found = own.linearised(state), own.marginal(state)
@@ -358,10 +353,8 @@ def _with_tangents(task: Task, state: State) -> tuple[Task, State, list[_Tangent
 def _as_one(
     tangents: Sequence[_Tangent], theta: Floats, covariance: Floats
 ) -> tuple[Floats, Floats, Mapping[str, int]]:
-    """Coefficients with tangents behind them, and their covariance, given that a constant is the same in all equations.
-
-    Of each constant also the number of its first tangent among them.
-    """
+    """Coefficients with tangents behind them, and their covariance, given that a constant is the same in all equations;
+    of each constant also the number of its first tangent among them."""
     first: dict[str, int] = {}
     differences = []
     for k, one in enumerate(tangents, len(theta) - len(tangents)):
@@ -377,10 +370,8 @@ def _as_one(
 
 
 def moved(task: Task, fitted: Fitted, motion: Motion | None = None) -> tuple[Task, Fitted]:
-    """The fit with its constants moved to where they are likeliest, if the likelihood is finite on the way.
-
-    Steps to where it is not are halved. Priors are those of the terms in the rows of the motion, if it is given.
-    """
+    """The fit with its constants moved to where they are likeliest, if the likelihood is finite on the way; priors are
+    those of the terms in the rows of the motion, if it is given."""
     if not tangents_of(task.layout, fitted.state.chosen, fitted.state.theta):
         return task, fitted
     now, last, halved = (task, fitted.state), None, 0
@@ -437,10 +428,8 @@ def _halfway(last: tuple[Task, State], now: tuple[Task, State]) -> tuple[Task, S
 
 
 def joint_covariance(task: Task, state: State, power: float = 1.0) -> tuple[Floats, tuple[ConstantEstimate, ...]]:
-    """Covariance of the coefficients of a fit whose constants are not known either, and what is known of these.
-
-    Both are of a power of the likelihood.
-    """
+    """Covariance of the coefficients of a fit whose constants are not known either, and what is known of these, both of
+    a power of the likelihood."""
     own, wide, tangents = _with_tangents(task, state)
     _, covariance, first = _as_one(tangents, wide.theta, own.marginal(wide, keep=False).covariance)
     terms, estimates = task.layout.terms, []
@@ -487,10 +476,7 @@ def _costs(task: Task, fitted: Fitted) -> dict[int, float]:
 
 
 def _by_rows(task: Task, motion: Motion, family: Sequence[int]) -> list[dict[str, float]]:
-    """Values of a family's constants that explain most of the smoothed rows, beside the other terms and without them.
-
-    Those may stand for a function that one term is.
-    """
+    """Values of a family's constants that explain most of the smoothed rows, beside the other terms and alone."""
     terms, allowed = task.layout.terms, _allowed(task)
     beside, alone = (_ranked(terms, motion, allowed, family, others)[0][:TRIED] for others in (True, False))
     return beside + [one for one in alone if one not in beside]
