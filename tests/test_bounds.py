@@ -336,6 +336,8 @@ def test_through_the_command(tmp_path, capsys) -> None:
     back = bq.load(saved)
     assert back[0].ci95.tolist() == [one["ci95"] for one in out["equations"][0]["terms"]]
     assert back.to_dict()["equations"][0]["terms"] == out["equations"][0]["terms"]
+    back.save(tmp_path / "again.json")
+    assert (tmp_path / "again.json").read_text() == saved.read_text()
     for bad in ("5 <= x <= 0", "0 <= w <= 1", "0 <= x <= nan"):
         assert main(["discover", str(path), *CHANNELS, "--constraint", bad]) == 2
         captured = capsys.readouterr()

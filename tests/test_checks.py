@@ -12,8 +12,8 @@ import bayeq as bq
 from bayeq.cli.app import main
 from bayeq.errors import DataWarning, InputError, RecordError, UnknownNameError
 from bayeq.numerics.distributions import t_quantile
-from bayeq.records import check_messages
 from bayeq.records.consistency import Frames, _weak_derivative, relate, uniform_frames
+from bayeq.records.findings import check_messages
 from tests.data import measured
 
 OSCILLATORS = ("linear", "duffing", "quadratic", "coulomb")

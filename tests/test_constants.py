@@ -18,11 +18,12 @@ from bayeq.dictionary import Variables, build_dictionaries, build_dictionary
 from bayeq.dictionary.ranges import ConstantEstimate, families, grids, located
 from bayeq.equation.brief import brief
 from bayeq.equation.explain import explanation
-from bayeq.equation.written import at_end, constant_units
+from bayeq.equation.written import at_end, constant_units, plain_sd
 from bayeq.errors import DataWarning, ExpressionError, InputError
 from bayeq.expressions import Evaluator, Unknown, parse
+from bayeq.likelihood.nodes import derivative
 from bayeq.likelihood.spike import Soft
-from bayeq.likelihood.unknowns import _as_one, _derivative, _Tangent
+from bayeq.likelihood.unknowns import _as_one, _Tangent
 from bayeq.records import Record
 
 VARIABLES = Variables(("x", "v"), ("u",))
@@ -202,7 +203,7 @@ def test_a_family_gives_its_term_to_an_either_or():
 )
 def test_derivatives_by_constants(text, constant):
     term = parse(text).with_unknowns({"c": constant})
-    got = Evaluator(COLUMNS)(_derivative(term, "c"))
+    got = Evaluator(COLUMNS)(derivative(term, "c"))
     step = 1e-6 * constant.value
 
     def at(value):
@@ -521,3 +522,40 @@ def test_a_constant_of_two_equations_is_one_number() -> None:
     assert first == {"K": 3, "g": 4}
     np.testing.assert_allclose(found, fold @ mean, rtol=1e-9)
     np.testing.assert_allclose(joint, fold @ folded @ fold.T, rtol=1e-9, atol=1e-12)
+
+
+def test_a_bend_is_sought_on_a_fine_grid():
+    (term,) = build_dictionary(["max(x - {g}, 0)"], VARIABLES)
+    constants = located([term], [COLUMNS])
+    places = [values["g"] for values in grids([term], constants, [COLUMNS])]
+    assert len(places) == 100
+    (smooth,) = build_dictionary(["tanh(v/{s})"], VARIABLES)
+    assert len(list(grids([smooth], located([smooth], [COLUMNS]), [COLUMNS]))) == 13
+    several = build_dictionary(["max(x - {g}, 0)", "min(x + {g}, 0)*abs(v - {h})"], VARIABLES)
+    assert len(list(grids(several, located(several, [COLUMNS]), [COLUMNS]))) == 50**2
+
+
+@pytest.mark.filterwarnings("ignore::bayeq.errors.TermWarning")
+def test_a_power_is_no_copy_of_another_term():
+    record = oscillator(lambda x, v, t: -2.0 * np.sign(v) * np.abs(v) ** 2.6, n=500)
+    eq = found(record, "x, v, u, v*abs(v), v**3, sign(v)*abs(v)**{p}", holdout=0.0).equations[0]
+    assert set(eq.shown) == {"x", "v", "u", "sign(v)*abs(v)**{p}"}
+    (power,) = eq.constants
+    assert power.value == pytest.approx(2.6, abs=4.0 * power.sd)
+    assert power.sd < 0.2
+
+
+@pytest.mark.parametrize("bend", [4.0, 1.5])
+def test_a_family_stands_for_its_series(bend):
+    record = oscillator(lambda x, v, t: -40.0 / bend * (np.exp(bend * x) - 1.0), n=500)
+    answer = found(record, "x, v, u, x**2, x**3, x**4, x**5, x**2*v, exp({q}*x)", holdout=0.0)
+    eq = answer.equations[0]
+    if bend > 2.0:  # the series is far from it
+        assert set(eq.shown) == {"x", "v", "u", "exp({q}*x)"}
+        assert eq.constants[0].value == pytest.approx(bend, abs=4.0 * plain_sd(eq.constants[0]))
+        assert not eq.forms
+    else:  # nobody can tell, and this is said
+        (found_forms,) = eq.forms.values()
+        assert any("exp" in name for name in found_forms)
+        assert any("x**2" in name for name in found_forms)
+        assert "form undecided: " in brief(answer)

@@ -112,16 +112,16 @@ def test_informed_dictionaries(name, terms):
     assert odebench.informed(name) == terms
 
 
-@pytest.mark.parametrize("number", odebench.WITH_CONSTANTS)
+@pytest.mark.parametrize("number", [one["id"] for one in cells.facts()["odebench"] if one["terms"] is None])
 def test_laws_with_constants_are_those_of_the_sources(number):
     """Along the trajectory, at constants of the right-hand side, the terms and coefficients give what that gives."""
     known = cells.facts()["odebench"][number - 1]
     clean = odebench._clean(str(number), 0)
     columns = {state: clean[state] for state in known["states"]}
-    names = [term for law in odebench.WITH_CONSTANTS[number][1] for term in law if term != cells.CONSTANT]
+    names = [term for law in known["laws"] for term in law if term != cells.CONSTANT]
     dictionary = build_dictionary(odebench.informed(str(number)), Variables(tuple(known["states"])))
     assert {parse(name).text for name in names} <= {term.text for term in dictionary}
-    for rhs, law in zip(known["rhs"], odebench.WITH_CONSTANTS[number][1], strict=True):
+    for rhs, law in zip(known["rhs"], known["laws"], strict=True):
         terms = [term for term in dictionary if term.text in {parse(name).text for name in law}]
         values = {one.name: one for term in terms for one in term.unknowns.values()}
         target = evaluate_terms([parse(rhs)], columns)[:, 0] - law.get(cells.CONSTANT, 0.0)

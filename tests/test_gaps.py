@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import bayeq as bq
-from bayeq.records import split_at_gaps
+from bayeq.records.repair import split_at_gaps
 from bayeq.states.prepare import filled_in, on_grid
 from bayeq.systems.system import BandLimitedForce, System
 

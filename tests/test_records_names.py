@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayeq.records import RESERVED, clean_name, clean_names
 from bayeq.records.columns import Headers
+from bayeq.records.names import RESERVED, clean_name, clean_names
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,7 @@ import pytest
 from scipy.signal import StateSpace, lsim
 
 import bayeq as bq
-from bayeq.records import without_copies
-from bayeq.records.findings import clipped_levels
+from bayeq.records.findings import clipped_levels, without_copies
 
 AMONG_SIX = {"chains": "x::", "inputs": ["u"], "dictionary": "x, dx, x**2, x**3, dx*abs(dx), u"}
 

@@ -3,8 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayeq.inference.collapsed.problem import gram_columns
+from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.gram import Gram
+from bayeq.inference.prior import Prior
 from bayeq.inference.rvm import rvm, rvm_ascent
 from tests import reference
 
@@ -12,7 +13,7 @@ from tests import reference
 def fitted(seed, **options):
     D, y, truth = reference.random_problem(np.random.default_rng(seed), **options)
     gram = Gram.from_data(D, y)
-    gamma, T, noise, _, converged = rvm_ascent(gram_columns(gram), gram.Dty, gram.yty, gram.dof, 10_000)
+    gamma, T, noise, _, converged = rvm_ascent(Problem.of(gram, Prior()), 10_000)
     assert converged
     kept = gamma > 0
     lam = np.full(len(gamma), np.inf)

@@ -8,7 +8,7 @@ import pytest
 import bayeq as bq
 from bayeq.adapters.pysindy.series import Band, band_gram, taper, to_band
 from bayeq.errors import DataWarning
-from bayeq.records import split_at_gaps
+from bayeq.records.repair import split_at_gaps
 from bayeq.states import Roles, estimate_motion, parse_chains
 from bayeq.states.kinematic.chain_smoother import smooth_chain
 from bayeq.states.prepare import on_grid

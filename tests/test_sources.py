@@ -17,8 +17,8 @@ import bayeq as bq
 from bayeq.cli.app import main
 from bayeq.cli.options import named_channels
 from bayeq.errors import FileFormatError, InputError, RecordError, UnknownNameError
-from bayeq.records import FORMATS, Record, as_record, as_records, join, read
-from bayeq.records.formats import protocol
+from bayeq.records import Record, as_record, as_records, join, read
+from bayeq.records.formats import FORMATS, protocol
 from tests.data import measured
 from tests.draws import draws
 

@@ -36,34 +36,12 @@ from pathlib import Path
 from typing import Any
 
 __all__ = [
-    "AmbiguityWarning",
-    "BayeqError",
-    "BayeqWarning",
-    "ChainError",
-    "ConvergenceWarning",
-    "CorrelatedResidualsWarning",
-    "DataWarning",
-    "ExpressionError",
-    "FileFormatError",
-    "InputError",
-    "InterruptedRun",
-    "LengthsError",
-    "MissingExtraError",
-    "RecordError",
-    "TermWarning",
-    "UnknownNameError",
-    "WordsError",
-    "WarningLog",
-    "as_path",
-    "one_line",
-    "printable",
-    "require_kind",
-    "require_mapping",
-    "require_number",
-    "require_text",
-    "require_texts",
-    "whole_number",
-]
+    "AmbiguityWarning", "BayeqError", "BayeqWarning", "ChainError", "ConvergenceWarning",
+    "CorrelatedResidualsWarning", "DataWarning", "ExpressionError", "FileFormatError", "InputError", "InterruptedRun",
+    "LengthsError", "MissingExtraError", "RecordError", "TermWarning", "UnknownNameError", "WordsError", "WarningLog",
+    "as_path", "one_line", "printable", "require_kind", "require_mapping", "require_number", "require_text",
+    "require_texts", "whole_number",
+]  # fmt: skip
 
 
 #: Numbers of system errors that say that a disk, or the share of it that a user has, is full.
@@ -263,8 +241,6 @@ class WarningLog:
 def some_of(texts: Sequence[str], width: int = 60, between: str = ", ") -> str:
     """As many texts as fit into a width, at least one, and how many more there are.
 
-    Examples
-    --------
     >>> some_of(["x", "v", "x**3"], width=5)
     'x, v and 1 more'
     """
@@ -276,8 +252,6 @@ def some_of(texts: Sequence[str], width: int = 60, between: str = ", ") -> str:
 def in_digits(value: float, digits: int = 2) -> str:
     """A number in some digits, or in as many as stand before its point, to 100,000.
 
-    Examples
-    --------
     >>> in_digits(0.01234), in_digits(99.7), in_digits(1250.4, 3), in_digits(2e7)
     ('0.012', '100', '1250', '2e+07')
     """
@@ -291,8 +265,6 @@ MOST_SHOWN = 40
 def require_kind(value: Any, kinds: type | tuple[type, ...], what: str, words: str) -> None:
     """Raise an InputError that `what` must be `words`, unless a value is of some type.
 
-    Examples
-    --------
     >>> require_kind(1, str, "method", "text")
     Traceback (most recent call last):
     bayeq.errors.InputError: method must be text, not 1 (int)
@@ -314,8 +286,6 @@ def one_line(message: object) -> str:
 def whole_number(what: str, value: Any, least: int, most: int | None = None) -> int:
     """`value` as an int; an InputError about `what` unless it is a whole number from `least` to `most`.
 
-    Examples
-    --------
     >>> whole_number("rows", 3, 2)
     3
     """

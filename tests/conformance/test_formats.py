@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from bayeq.errors import FileFormatError, UnknownNameError
-from bayeq.records import Record, clean_name, read, write
+from bayeq.records import Record, read, write
 from bayeq.records.columns import RATE_NAMES, STEP_NAMES
 from bayeq.records.formats import suffixes, writers
-from bayeq.records.names import is_time_name
+from bayeq.records.names import clean_name, is_time_name
 from bayeq.records.validate import SECONDS
 from tests.draws import draws
 

@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, is_dataclass, replace
 from importlib.metadata import version
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -17,6 +18,7 @@ import numpy as np
 
 from bayeq.discovery.entry import discover, question_of
 from bayeq.discovery.question import Question
+from bayeq.equation.answer import CONSTANT
 from bayeq.equation.equations import Equations
 from bayeq.equation.load import restored
 from bayeq.errors import InputError, UnknownNameError, as_path
@@ -169,9 +171,6 @@ COLUMNS = (
     "order", "file", "target", "term", "coef", "sd", "ci_low", "ci_high", "pip", "included", "shown", "verdict", "unit",
 )  # fmt: skip
 
-# The constant, where an equation has one.
-CONSTANT = "1"
-
 DIFFERENT = (
     "The terms are not those of all files: the coefficient of one changes where another comes or goes; --common\n"
     "  (common=True) compares the coefficients of one equation."
@@ -270,23 +269,18 @@ class Batch:
         """The rows of `table`, as plain data."""
         found = [(k, one.path, _terms(eq)) for k, one in enumerate(self.files) for eq in _equations(one.content)]
         shared = [term for equation in _equations(self._common) for term in _terms(equation)]
-        places: dict[str, list[str]] = {}
-        for term in shared or [term for *_, terms in found for term in terms]:
-            own = places.setdefault(term["target"], [])
-            if term["shown"] and term["term"] not in own:
-                own.append(term["term"])
-        for own in places.values():  # in the order in which files bring them, the constant last
-            own.sort(key=CONSTANT.__eq__)
+        shown = [_pair(term) for term in shared or chain(*(terms for *_, terms in found)) if term["shown"]]
+        # in the order in which files bring them, the constant last
+        listed = sorted(dict.fromkeys(shown), key=lambda pair: pair[1] == CONSTANT)
         beside = {
-            (term["target"], term["term"]): {f"common_{name}": term[name] for name in ("coef", "ci_low", "ci_high")}
-            for term in shared
+            _pair(term): {f"common_{name}": term[name] for name in ("coef", "ci_low", "ci_high")} for term in shared
         }
         out = []
         for k, path, terms in found:
-            kept = [term for term in terms if term["term"] in places[term["target"]]]
-            for term in sorted(kept, key=lambda one: places[one["target"]].index(one["term"])):
-                term["shown"] |= self._common is not None  # the constant too, which no prior forces in
-                out.append({"order": k, "file": path, **term, **beside.get((term["target"], term["term"]), {})})
+            own = {_pair(term): term for term in terms}
+            for pair in filter(own.__contains__, listed):
+                own[pair]["shown"] |= self._common is not None  # the constant too, which no prior forces in
+                out.append({"order": k, "file": path, **own[pair], **beside.get(pair, {})})
         return out
 
     def plot(self) -> Figure:
@@ -329,6 +323,10 @@ class Batch:
         return "\n".join(lines)
 
 
+def _pair(term: Mapping[str, Any]) -> tuple[str, str]:
+    return term["target"], term["term"]
+
+
 def _equations(content: Mapping[str, Any] | None) -> list[Mapping[str, Any]]:
     return [] if content is None else list(content["equations"])
 
@@ -346,9 +344,8 @@ def _terms(equation: Mapping[str, Any]) -> list[dict[str, Any]]:
     terms = [row(*(term[name] for name in names), unit=term["unit"]) for term in equation["terms"]]
     for one in equation.get("constants", ()):
         if one["sd"] is not None and visible & set(one["terms"]):
-            sd = one["sd"] * (abs(one["value"]) if one["logarithmic"] else 1.0)
-            name = f"{{{one['name']}}}"
-            terms.append(row(name, one["value"], sd, one["ci95"], None, True, True, unit=one.get("unit")))
+            numbers = (one["value"], one["value_sd"], one["ci95"], None, True, True)
+            terms.append(row(f"{{{one['name']}}}", *numbers, unit=one["unit"]))
     interval, pip = equation["intercept_printed_ci95"], equation["intercept_pip"]
     matters = pip > 0.5 if pip is not None else min(interval) > 0.0 or max(interval) < 0.0
     intercept = (equation["intercept"], equation["intercept_sd"], interval, pip, matters, matters)

@@ -22,6 +22,8 @@ from bayeq.errors import BayeqError, InputError, in_digits
 from bayeq.resumable.posix import address_space
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from bayeq.equation.equations import Equations
     from bayeq.equation.quantities import PhysicalParameters
     from bayeq.records import Record
@@ -340,15 +342,12 @@ def show_equations(
     A file in the folder is named with it.
     """
     if as_json:
-        out, none = answer.to_dict(), None
+        out = answer.to_dict()
         try:
             if physical:
                 out["physical"] = {target: _plain(parameters) for target, parameters in _physical(answer).items()}
-        except InputError as error:
-            none = error
-        click.echo(json.dumps(out, allow_nan=False))
-        if none is not None:
-            raise none
+        finally:  # the equations are printed where there are no parameters too
+            click.echo(json.dumps(out, allow_nan=False))
         return
     if not (verbose or conditional or physical or explain):
         from bayeq.equation.brief import brief
@@ -370,10 +369,11 @@ def show_equations(
 def _write_curves(found: Equations, what: Literal["sensitivity", "path"], path: Path) -> None:
     from bayeq.equation.sensitivity import draw_pip_curves
     from bayeq.equation.size_path import draw_paths
-    from bayeq.figures.style import write_by_target
+    from bayeq.figures.style import joined, write_output
 
-    draw = draw_pip_curves if what == "sensitivity" else draw_paths
-    write_by_target(path, {equation.target: getattr(equation, what)() for equation in found}, draw)
+    draw: Callable[[Mapping[str, Any]], Figure] = draw_pip_curves if what == "sensitivity" else draw_paths
+    results = {equation.target: getattr(equation, what)() for equation in found}
+    write_output(path, lambda: joined("target", results.items()), lambda: draw(results))
 
 
 def _write_forecast(answer: Equations, records: Sequence[Record], holdout: float, path: Path) -> None:

@@ -4,14 +4,6 @@ from bayeq.dictionary.build import FAMILIES, Family, build_dictionaries, build_d
 from bayeq.dictionary.specification import Specification, Variables, of_equations, written
 
 __all__ = [
-    "FAMILIES",
-    "Family",
-    "Specification",
-    "Variables",
-    "build_dictionaries",
-    "build_dictionary",
-    "evaluate_terms",
-    "of_equations",
-    "slopes_of",
-    "written",
-]
+    "FAMILIES", "Family", "Specification", "Variables", "build_dictionaries", "build_dictionary", "evaluate_terms",
+    "of_equations", "slopes_of", "written",
+]  # fmt: skip

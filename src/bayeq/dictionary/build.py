@@ -27,15 +27,11 @@ from bayeq.records.io import near_files
 
 
 class Family(NamedTuple):
-    """A row of `FAMILIES`.
+    """A row of `FAMILIES`."""
 
-    `terms` makes their texts from `Variables` and the text after the colon, or None; `argument` says what the number
-    after the colon is, empty for a family that takes none; `by_equation` is whether each equation has terms of its own.
-    """
-
-    terms: Callable[[Variables, str | None], list[str]]
-    argument: str = ""
-    by_equation: bool = False
+    terms: Callable[[Variables, str | None], list[str]]  # their texts; None where nothing is after the colon
+    argument: str = ""  # what the number after the colon is; empty for a family that takes none
+    by_equation: bool = False  # whether each equation has terms of its own
 
 
 _OWN = {
@@ -56,17 +52,10 @@ MOST_UNKNOWN = 3
 
 
 def build_dictionary(specification: str | Sequence[str], variables: Variables) -> tuple[Expression, ...]:
-    """Candidate terms, in these states and inputs.
-
-    The specification is ``oscillator`` (eq. (31)), ``polynomial:3``, ``fourier:2``, ``neighbours``, a file with one
-    term per line (``#`` starts a comment), or terms separated by commas; a union of families and terms, ``oscillator +
-    sin(x) - x**5``, which leaves out the term behind a minus; or a list of families, unions and terms. Text is divided
-    at + and - where one of the parts is a family: ``x + v`` is one term.
+    """Candidate terms in these states and inputs, of a specification as docs/terms.md has it or of a list of such.
 
     InputError: neither a family, nor a file, nor terms; a malformed or forbidden term; a term given twice; no terms.
 
-    Examples
-    --------
     >>> len(build_dictionary("oscillator", Variables(("x", "v"), ("u",))))
     36
     >>> [t.text for t in build_dictionary("x, v, sign( v )", Variables(("x", "v")))]
@@ -99,11 +88,8 @@ def build_dictionaries(
 ) -> tuple[tuple[Expression, ...], Bools]:
     """Candidate terms of several equations: the P terms of all together, and (C, P) which of them each may have.
 
-    The specification is as for `build_dictionary`, the same for every equation; or one for each by its target, ``{"a1":
-    "oscillator", "a2": "polynomial:3"}`` or ``"a1: oscillator; a2: polynomial:3"``. Chains of the variables are in the
-    order of the C targets.
-
-    InputError: as `build_dictionary`; a target that is not there, or that has no dictionary.
+    The specification is the same for every equation, or one for each by its target; chains of the variables are in the
+    order of the C targets. InputError: as `build_dictionary`; a target that is not there, or that has no dictionary.
     """
     require_kind(specification, Iterable, "dictionary", "text, a list of terms, or a mapping of these")
     given = of_equations(specification, targets)
@@ -138,10 +124,7 @@ def build_dictionaries(
 
 
 def _apart(terms: Sequence[Expression], targets: Sequence[str], allowed: Bools) -> Bools:
-    """Which terms each equation may have: none has its own target on its right-hand side.
-
-    InputError: a term that is not proportional to the one target in it, or that no equation may have.
-    """
+    """Which terms each equation may have: none has its own target; InputError for one that no equation may have."""
     out = allowed.copy()
     for j, term in enumerate(terms):
         try:
@@ -220,10 +203,7 @@ def _not_a_dictionary(text: str, variables: Variables, error: InputError) -> Inp
 
 
 def read_terms(path: str | Path) -> list[tuple[str, str]]:
-    """Terms of a file, one per line, each with the place it stands at; ``#`` starts a comment.
-
-    FileFormatError: a file that is missing, too large or not text.
-    """
+    """Terms of a file, one per line, each with the place it stands at; ``#`` starts a comment."""
     path = Path(path)
     try:
         if path.stat().st_size > MAX_FILE_BYTES:

@@ -14,10 +14,7 @@ OSCILLATOR_DEGREE, POLYNOMIAL_DEGREE, HARMONICS = 6, 3, 1
 
 
 def oscillator(variables: Variables, argument: str | None = None) -> list[str]:
-    """P^1(x) ... P^6(x), sgn(x), |x|, x (x) |x| of the states, and the inputs, eq. (31): 36 terms for one x, v and u.
-
-    ``oscillator:3`` has 3 as the highest order of the polynomials instead of 6.
-    """
+    """P^1(x) ... P^6(x), sgn(x), |x|, x (x) |x| of the states, and the inputs, eq. (31): 36 terms of one x, v, u."""
     s = variables.states
     return [
         *monomials(s, OSCILLATOR_DEGREE if argument is None else int(argument)),
@@ -36,11 +33,6 @@ def polynomial(variables: Variables, argument: str | None = None) -> list[str]:
 def fourier(variables: Variables, argument: str | None = None) -> list[str]:
     """sin(th), cos(th), ..., sin(k*th), cos(k*th) of each coordinate, and the inputs: ``fourier:2`` is k = 2.
 
-    Harmonics of derivatives, and of the time, whose frequency would have to be known, are left to typed terms:
-    ``fourier:2 + cos(3*t)``.
-
-    Examples
-    --------
     >>> fourier(Variables(("th", "om"), ("u",), (("th", "om"),)), "2")
     ['sin(th)', 'cos(th)', 'sin(2*th)', 'cos(2*th)', 'u']
     """
@@ -53,12 +45,8 @@ def neighbours(variables: Variables, argument: str | None = None) -> list[str]:
     """Linear and cubic springs and dampers at one mass of a row, in the order of the chains, and the inputs.
 
     At mass i these are its displacement and velocity (to the ground), their differences to those of the masses before
-    and after it, and the cubes of all. Of the whole row, those of every mass.
+    and after it, and the cubes of all; of the whole row, those of every mass. InputError: less than two chains.
 
-    InputError: less than two chains.
-
-    Examples
-    --------
     >>> variables = Variables(("x1", "v1", "x2", "v2"), (), (("x1", "v1"), ("x2", "v2")), 0)
     >>> neighbours(variables)
     ['x1', 'x1**3', 'x2-x1', '(x2-x1)**3', 'v1', 'v1**3', 'v2-v1', '(v2-v1)**3']
@@ -82,8 +70,6 @@ def neighbours(variables: Variables, argument: str | None = None) -> list[str]:
 def monomials(names: tuple[str, ...], degree: int) -> list[str]:
     """All monomials of total degree 1 to `degree`, by degree: ``x``, ``v``, ``x**2``, ``x*v``, ``v**2`` ...
 
-    Examples
-    --------
     >>> monomials(("x", "v"), 2)
     ['x', 'v', 'x**2', 'x*v', 'v**2']
     """
@@ -103,8 +89,6 @@ def count(names: int, degree: int) -> int:
 def degree(term: Expression) -> int:
     """Total degree of a monomial.
 
-    Examples
-    --------
     >>> from bayeq.expressions import parse
     >>> degree(parse("x**2*v"))
     3

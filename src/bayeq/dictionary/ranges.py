@@ -1,9 +1,6 @@
 """Where the constants inside terms may be, such as v0 of ``tanh(v/{v0})``, and grids on which they are sought.
 
-A constant beside a state is a scale of it, a place on it, or a power; one that multiplies time inside a sine is a
-frequency. What is not written, ``{v0: 0.01..3}``, is read from the record: scales from what samples resolve to the
-largest value, places from the smallest value to the largest, frequencies from half a wave over the record to a quarter
-of the sampling rate.
+A range that is not written, ``{v0: 0.01..3}``, is read from the record by the place of the constant: docs/terms.md.
 """
 
 from __future__ import annotations
@@ -390,10 +387,7 @@ def _span(values: Sequence[Floats]) -> float:
 
 
 def _values(node: Node, constants: Mapping[str, Unknown], columns: Columns) -> list[Floats] | None:
-    """What stands beside a constant in each record, other constants in the middle of their ranges.
-
-    None where these are not known.
-    """
+    """What stands beside a constant in each record, others in the middle of their ranges; None of unknown ranges."""
     values = {name: replace(one, value=middle(one)) for name, one in constants.items()}
     expression = Expression(node).with_unknowns(values)
     with np.errstate(all="ignore"):

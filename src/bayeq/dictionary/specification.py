@@ -30,8 +30,6 @@ def members(texts: Sequence[str], families: Set[str]) -> list[Member] | None:
     A text is divided at its + and - outside of brackets if one of the parts is a family, or if others have one and it
     begins with -.
 
-    Examples
-    --------
     >>> [(m.text, m.left_out) for m in members(["oscillator + sign(v)*x**2 - x**-1"], {"oscillator"})]
     [('oscillator', False), ('sign(v)*x**2', False), ('x**-1', True)]
     >>> members(["x + v"], {"oscillator"}) is None
@@ -70,8 +68,6 @@ def _parts(text: str) -> list[Member]:
 def split_at(text: str, mark: str = ",") -> list[str]:
     """The parts between the marks outside of brackets.
 
-    Examples
-    --------
     >>> split_at("x, atan2(x, v)"), split_at("tanh(v/{v0}) | sign(v)", "|")
     (['x', 'atan2(x, v)'], ['tanh(v/{v0})', 'sign(v)'])
     """
@@ -88,8 +84,6 @@ def split_at(text: str, mark: str = ",") -> list[str]:
 def without_names(text: str, names: Set[str], families: Set[str]) -> str:
     """A dictionary without the terms that some names are in, and the equations of these.
 
-    Examples
-    --------
     >>> without_names("a: oscillator + f - x*f, v, u-f, f | sign(v); df: u", {"f", "df"}, {"oscillator"})
     'a: oscillator, v, sign(v)'
     """
@@ -106,12 +100,7 @@ def without_names(text: str, names: Set[str], families: Set[str]) -> str:
 
 
 def of_equations(specification: Specification, targets: Sequence[str]) -> dict[str, str | Sequence[str]] | None:
-    """The dictionary of each equation, by its target; None where all have the same.
-
-    Text may be ``"a1: oscillator; a2: polynomial:3"``.
-
-    InputError: a target that is not there, given twice, or without a dictionary.
-    """
+    """The dictionary of each equation, by its target, or an InputError; None where all have the same."""
     if isinstance(specification, Mapping):
         found = [(str(target), one) for target, one in specification.items()]
     elif isinstance(specification, str) and (

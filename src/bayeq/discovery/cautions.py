@@ -34,7 +34,7 @@ def warn_of_other_terms(equations: Sequence[Equation], scored: Sequence[Equation
 def warn_of_sensors(motion: Motion, given: Set[str], log: WarningLog) -> None:
     """Say which of what was given of channels makes no difference."""
     roles, sensors = motion.roles, motion.sensors
-    computed = [name for name in given if name not in {*roles.measured, *roles.inputs}]
+    computed = [name for name in given if name not in roles.channels]
     if computed:
         log.warn(
             f"what was given of {some_of(sorted(computed), 30)} is not used: give that of the channel it was computed"

@@ -28,10 +28,7 @@ from bayeq.states.prepare import numbered
 def dictionaries_of(
     dictionary: Specification, roles: Roles, variables: Variables
 ) -> tuple[tuple[Expression, ...], Bools]:
-    """The candidates of all equations that are not stated, as `bayeq.dictionary.build_dictionaries`.
-
-    A ChainError says that a hidden state without a law has no dictionary.
-    """
+    """The candidates of all equations that are not stated; a ChainError refuses a hidden state without any."""
     targets = roles.sought
     found = roles.hidden[: len(targets) - len(roles.seen.chains)]
     if found and of_equations(dictionary, targets) is None:
@@ -43,10 +40,7 @@ def dictionaries_of(
 
 
 def check_scales(roles: Roles, terms: Sequence[Expression], allowed: Bools, constraints: Sequence[Constraints]) -> None:
-    """Refuse, by an InputError, a hidden state that is no candidate by itself, and another scale than its 1 there.
-
-    Unless that is said as if it had been measured.
-    """
+    """Refuse a hidden state that is no candidate by itself, and another scale than its 1 that is not as if measured."""
     for chain in roles.hidden:
         if not chain.stated:
             c, j, scaled = seen_in(chain, roles, terms, allowed)[0]
@@ -61,8 +55,7 @@ def with_law_terms(
 ) -> tuple[tuple[Expression, ...], Bools, Roles]:
     """Candidates of all equations with the laws of hidden states among them, and the roles with the same constants.
 
-    Terms are those of the equations of measured states, `allowed`, (C, P), which of them each may have. An InputError
-    says that no term uses a hidden state, and refuses a law with too many constants, or two ranges of one.
+    An InputError says that no term uses a hidden state, and refuses a law with too many constants or two ranges of one.
     """
     laws = [chain.law for chain in roles.hidden if chain.law is not None]
     if not laws:
@@ -102,10 +95,7 @@ def without_hidden(terms: Sequence[Expression], allowed: Bools, roles: Roles) ->
 def hidden_states(
     design: Design, record: RecordFit | None, likelihood: Callable[[Design], RecordFit | None]
 ) -> tuple[HiddenState, ...]:
-    """The hidden states of a design, with log odds of the equations without them.
-
-    The record is the likelihood of the design, None where it cannot be evaluated; `likelihood` gives that of another.
-    """
+    """The hidden states of a design, with log odds of the equations without them, by the `likelihood` of these."""
     motion = design.motion
     if not motion.roles.hidden:
         return ()
@@ -118,9 +108,6 @@ def hidden_states(
     return tuple(HiddenState(chain.names[0], odds, chain.stated) for chain in motion.roles.hidden)
 
 
-#: What stands for all terms.
-ALL = "all"
-
 # Records whose differences are sought, at most.
 MOST_RECORDS = 20
 
@@ -130,8 +117,7 @@ def with_differences(
 ) -> tuple[list[Record], tuple[str, ...], tuple[Expression, ...], Bools]:
     """Records with the inputs that number them, the names of these, and the candidates with the differences.
 
-    Terms whose coefficients may differ are named, or are "all" of the candidates. An InputError refuses one record
-    only, or very many; a term that is no candidate; a channel with the name of a record's number.
+    An InputError refuses one record only, or very many; a term that is no candidate; a channel with such a name.
     """
     if not 1 < len(records) <= MOST_RECORDS:
         raise InputError(
@@ -144,7 +130,7 @@ def with_differences(
     texts = split_at(differs) if isinstance(differs, str) else [str(one) for one in differs]
     known = {term.text: j for j, term in enumerate(terms)}
     chosen = list(range(len(terms)))
-    if texts != [ALL]:
+    if texts != ["all"]:
         chosen = []
         for text in texts:
             name = parse(text).text

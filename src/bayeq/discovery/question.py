@@ -37,11 +37,13 @@ from bayeq.inference.prior import SIGNED, Prior
 from bayeq.likelihood.channels import first_lags
 from bayeq.likelihood.hidden import with_first_laws, with_first_paths, with_found_laws, with_values_of
 from bayeq.likelihood.layout import Stated
+from bayeq.likelihood.nodes import first_values
 from bayeq.likelihood.record_fit import RecordFit, refit_record
-from bayeq.likelihood.unknowns import first_values
 from bayeq.numerics.settings import LIKELIHOOD, SELECTION
-from bayeq.records import UNKNOWN_TIME, Record, check_messages, counts_rows, without_copies
+from bayeq.records import Record, counts_rows
+from bayeq.records.findings import check_messages, without_copies
 from bayeq.records.record import in_one_unit
+from bayeq.records.repair import UNKNOWN_TIME
 from bayeq.regression.constraints import CONSERVED, Constraints, parse_constraints, parse_ties
 from bayeq.regression.design import Design, build_design, screened
 from bayeq.regression.fit import fit_equations, record_of, sensors_of_design
@@ -110,11 +112,7 @@ class Question:
     whole: Whole | None = None  # all rows, where records are stretches of longer ones
 
     def answer(self, records: Sequence[Record], because: str | None = None) -> tuple[Equations, WarningLog]:
-        """The equations, and the warnings that go with them, `because` of the choice of the records among these.
-
-        An InputError refuses channels, terms or samples that cannot be used; NotStreamed says that stretches do not do
-        for what is asked.
-        """
+        """The equations, and their warnings, `because` of the records chosen; NotStreamed where stretches do not do."""
         if self.differs:
             question, numbered = self._by_record(records)
             return question.answer(numbered, because)
@@ -175,15 +173,15 @@ class Question:
             motion = replace(likelihood.told(motion), sensors=likelihood.learned(motion.sensors))
         log.collected[before:before] = [(one, DataWarning) for one in _channel_messages(motion, pieces)]
         data = DataSummary.of(pieces, motion, found is not None)
+        if whole is not None:
+            data = data.of_stretches(whole.names, *whole.counts(motion.holdout), len(measured))
         answer = Equations(
             equations=EquationTuple(with_doubts(equations, selections, self.rules.tolerance or SELECTION.tolerance)),
             inputs=motion.roles.inputs,
             method=self.method,
             dictionary=written(self.dictionary),
             smooth=self.smooth,
-            data=data
-            if whole is None
-            else data.of_stretches(whole.names, *whole.counts(motion.holdout), len(measured)),
+            data=data,
             dropped=design.dropped,
             warnings=log.messages,
             constraints=(*known, self.conserve + CONSERVED) if self.conserve else known,
@@ -237,8 +235,7 @@ class Question:
     ) -> tuple[RecordFit | None, tuple[str, ...], tuple[Constraints, ...]]:
         """The likelihood of the records, and what is known that holds, as text and of each equation.
 
-        It is compared with that without ties, in an equation too, which is taken where the record contradicts them. An
-        InputError says that only the likelihood of records in memory takes what is known.
+        It is compared with that without ties and equalities, which is taken where the record contradicts them.
         """
         dropped = {term.name: term.reason for term in design.dropped}
         if not self.conserved:
@@ -299,7 +296,7 @@ class Question:
             raise RecordError(f"{error} (found in stretches of a long record: choose its rows, --rows)") from None
         sensors = known_sensors(self.noise, self.gain_sd, roles, pieces, self.tails, self.lag_sd)
         if self.band is not None:
-            pieces, messages = without_hum(pieces, [*roles.measured, *roles.inputs], *self.band)
+            pieces, messages = without_hum(pieces, roles.channels, *self.band)
             log.extend(messages, DataWarning)
         motion = estimate_motion(pieces, roles, self.smooth, share, sensors, self.band)
         warn_of_rates(records, roles, log)
@@ -325,7 +322,7 @@ class Question:
                 "lag_sd: lags are learned by the likelihood of the record: use smooth='auto', time and more rows, or"
                 " shift the channel (bayeq.correct_delay)"
             )
-        if sensors.lags.keys() >= {*motion.roles.measured, *motion.roles.inputs}:
+        if sensors.lags.keys() >= set(motion.roles.channels):
             raise InputError("lag_sd: only lags against other channels show: leave out a channel that is the clock")
         terms, known = _in_radians(self.terms, self.known, _units(pieces, motion.roles, WarningLog()), WarningLog())
 
@@ -348,8 +345,7 @@ class Question:
     def _kept(
         self, terms: tuple[Expression, ...], known: Sequence[str], motion: Motion, log: WarningLog
     ) -> tuple[tuple[Expression, ...], Bools]:
-        """The candidates, and where they may stand; of too many those that explain most, or that something is known
-        of."""
+        """The candidates, and where they may stand; of too many those that explain most, or that are constrained."""
         most = LIKELIHOOD.most_candidates // len(motion.roles.chains) - 1
         if len(terms) <= most:
             return terms, self.allowed
@@ -455,7 +451,7 @@ def _prepared(
     """Records without bad samples, divided at gaps that cannot be bridged, chains without channels that were computed
     from others, and the share of the rows to hold out."""
     share = held_out_share(holdout, sum(record.n for record in records))
-    require_varying(records, [*roles.measured, *roles.inputs])
+    require_varying(records, roles.channels)
     require_steps(records)
     records, messages = cleaned(records, roles, smooth, learned)
     log.extend(messages, DataWarning)

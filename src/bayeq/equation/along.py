@@ -15,8 +15,8 @@ from bayeq.equation.refine.output_error import Unrefined
 from bayeq.equation.refine.refine import refine
 from bayeq.errors import ConvergenceWarning, DataWarning, InputError
 from bayeq.forecast.free_run import Forecast, forecast
-from bayeq.forecast.rows import Courses
-from bayeq.forecast.score import Scores, score_records
+from bayeq.forecast.rows import Courses, require_time, rows_of, window_of
+from bayeq.forecast.score import LEAST_ROWS, Scores, score_rows
 from bayeq.numerics.rk4 import Interpolation, check_interpolation
 from bayeq.records import Record
 from bayeq.records.record import in_units
@@ -32,8 +32,7 @@ LAST = 0.2
 def prepared(eq: Answer, records: Sequence[Record], divide: bool = False, level: int = 3) -> list[Record]:
     """Records as they were measured, without bad samples, and with `divide` divided at long gaps.
 
-    What `discover` has said of them is not said again. Warnings name the line at this `level`, as in `warnings.warn`,
-    by default that of the caller's caller. DataWarning of samples that are missing or left out, and of gaps.
+    DataWarning of such samples and gaps, at a `level` as in `warnings.warn`, unless `discover` has said the same.
     """
     roles = _without_targets(eq.roles.seen, records)
     found, messages = cleaned(records, roles, eq.smooth)
@@ -77,17 +76,6 @@ def rows_of_record(record: Record, roles: Roles, smooth: Smooth, sensors: Sensor
     return {name: np.interp(places, there, values) for name, values in rows.columns.items()}
 
 
-def predictions(eq: Answer, record: Record, return_std: bool) -> Any:
-    """See `Equations.predict`."""
-    columns = rows_of_record(record, eq.roles, eq.smooth, eq.data.sensors)
-    parts = [equation.predict(columns, return_std) for equation in eq.equations]
-    if len(parts) == 1:
-        return parts[0]
-    if return_std:
-        return tuple(np.column_stack(pieces) for pieces in zip(*parts, strict=True))
-    return np.column_stack(parts)
-
-
 def require_states(eq: Answer) -> None:
     """Refuse free runs of static laws alone, by an InputError."""
     if not eq.states:
@@ -108,17 +96,29 @@ def free_run(eq: Answer, record: Record, *, interpolation: Interpolation | None 
     )
 
 
-def scores(eq: Answer, records: Sequence[Record], *, interpolation: Interpolation | None = None, **how: Any) -> Scores:
-    """See `Equations.score`, whose other arguments go to `score_records`."""
-    return score_records(
-        eq.dynamics(),
-        records,
-        eq.smooth,
-        eq.data.sensors,
-        share=eq.data.holdout or LAST,
-        interpolation=_between(eq, interpolation),
-        **how,
-    )
+def scores(
+    eq: Answer,
+    records: Sequence[Record],
+    *,
+    start: int | None = None,
+    rows: int | None = None,
+    interpolation: Interpolation | None = None,
+) -> Scores:
+    """See `Equations.score`."""
+    courses, share = _between(eq, interpolation), eq.data.holdout or LAST
+    check_interpolation(courses)
+    motion = estimate_motion(records, eq.roles, eq.smooth, share if start is None else 0.0, eq.data.sensors)
+    pieces, dynamics = [], eq.dynamics()
+    for record, whole in zip(records, rows_of(motion, "a free run", courses), strict=True):
+        time, first = require_time(record, "a free run"), start
+        if first is None:
+            cut = whole.n - max(int(share * whole.n), LEAST_ROWS)
+            # the first row from there on that had not been dropped
+            moment = 0.5 * (whole.time[cut - 1] + whole.time[cut]) if cut else time[0]
+            first = min(int(np.searchsorted(time, moment)), record.n - LEAST_ROWS)
+        window = window_of(record, first, rows)
+        pieces.append(whole.part(slice(whole.nearest(time[window.start]), whole.nearest(time[window.stop - 1]) + 1)))
+    return score_rows(dynamics, dynamics.mean, pieces)
 
 
 def _static_laws(eq: Answer) -> str:

@@ -21,6 +21,7 @@ from bayeq.equation.verdict import Verdict, worst
 from bayeq.errors import InputError
 from bayeq.expressions import Binary, Evaluator, Expression, Symbol
 from bayeq.expressions.functions import TIME
+from bayeq.figures.style import joined
 from bayeq.forecast.dynamics import Dynamics, Law, solved_laws
 from bayeq.forecast.score import Scores
 from bayeq.inference.posterior import Posterior
@@ -236,10 +237,7 @@ class Answer:
 
     def table(self) -> pd.DataFrame:
         """All candidates of all equations: target, term, coef, sd, ci_low, ci_high, pip, included."""
-        import pandas as pd
-
-        tables = {equation.target: equation.table() for equation in self.equations}
-        return pd.concat(tables, names=["target"]).reset_index(level=0).reset_index(drop=True)
+        return joined("target", [(equation.target, equation) for equation in self.equations]).reset_index(drop=True)
 
     def coefficients(self) -> dict[str, dict[str, float]]:
         """Coefficients of the equations shown: ``{"a": {"x": -1000.3, "v": -2.0, "u": 1.0}}``.

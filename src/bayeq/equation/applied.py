@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from bayeq.equation import along
+from bayeq.equation.equation import Equation
 from bayeq.equation.equations import Equations
 from bayeq.equation.verdict import state_noise, window_errors
 from bayeq.equation.written import finite, moment
@@ -147,11 +148,10 @@ def as_equations_have_them(equations: Equations, record: Record) -> tuple[Record
 
 
 def apply_to(equations: Equations, records: Sequence[Record], draws: int = 200, seed: int = 0) -> Prediction:
-    """What equations predict of records, and whether they hold there.
+    """What equations predict of records that have all their channels, and time, and whether they hold there.
 
-    Records need all channels of the equations' chains and inputs, and time; their units are converted where they
-    differ. Draws are runs with coefficients from the posterior, for the bands. InputError: channels that are missing,
-    units that cannot be converted, no time. DataWarning: samples that are missing or left out.
+    Draws are runs with coefficients from the posterior, for the bands. InputError: channels that are missing, units
+    that cannot be converted, no time. DataWarning: samples that are missing or left out.
     """
     records = numbered(records, equations.numbers)
     if equations.roles.discrete:
@@ -170,9 +170,9 @@ def apply_to(equations: Equations, records: Sequence[Record], draws: int = 200, 
         driven = pieces if equations.states else []
         runs = tuple((piece.name, along.free_run(equations, piece, draws=draws, seed=seed)) for piece in driven)
         one_step = {
-            target: _single_step(equations, k, pieces, error)
-            for k, (target, error) in enumerate(scores.one_step.items())
-            if not equations.equations[k].chain.hidden  # whose samples are the equation's own
+            one.target: _single_step(equations, one, pieces, scores.one_step[one.target])
+            for one in equations
+            if not one.chain.hidden  # whose samples are the equation's own
         }
         motion = estimate_motion(pieces, equations.roles, equations.smooth, sensors=equations.data.sensors)
         windows = window_errors(equations.dynamics(), replace(motion, courses=equations.data.interpolation))
@@ -218,25 +218,22 @@ def _out_of_range(equations: Equations, records: Sequence[Record]) -> list[str]:
     return out
 
 
-def _single_step(equations: Equations, k: int, pieces: Sequence[Record], nrmse: float) -> Error:
+def _single_step(equations: Equations, equation: Equation, pieces: Sequence[Record], nrmse: float) -> Error:
     """The error of a target row by row, and the share of its samples within the predictive band."""
-    equation = equations[k]
     target, unit = equation.target, equation.units.get(equation.target)
     if not all(target in piece.channels for piece in pieces):
         return Error(nrmse, math.nan, unit, None)
     samples = np.concatenate([piece[target] for piece in pieces])
-    parts = zip(*(along.predictions(equations, piece, return_std=True) for piece in pieces), strict=True)
-    mean, sd = (np.concatenate([one.reshape(len(one), -1)[:, k] for one in part]) for part in parts)
+    how = equations.roles, equations.smooth, equations.data.sensors
+    rows = (along.rows_of_record(piece, *how) for piece in pieces)
+    mean, sd = (np.concatenate(part) for part in zip(*(equation.predict(one, True) for one in rows), strict=True))
     there = np.isfinite(samples)
     inside = float(np.mean(np.abs(samples - mean)[there] <= Z95 * sd[there])) if there.any() else None
     return Error(nrmse, nrmse * float(np.nanstd(samples)), unit, inside)
 
 
 def _free_run(name: str, runs: Sequence[Forecast], noise: float | None, nrmse: float) -> Error:
-    """The error of a state along the free runs, and the share of its samples within their bands.
-
-    The noise of the samples widens the band of a run as independent errors do; without it there is no share.
-    """
+    """The error of a state along the free runs, and the share of its samples within their bands, noise in these."""
     samples = np.concatenate([run.measured[name] for run in runs])
     unit = next((run.units[name] for run in runs if name in run.units), None)
     inside: float | None = None
@@ -296,9 +293,8 @@ class TestError:
 def test_errors(equations: Equations, records: Sequence[Record], skip: int) -> list[TestError]:
     """Errors of free runs over records that the equations are not from, one for each measured state.
 
-    Each run is driven by the inputs of the record alone. It begins at the first row, in the state with which it follows
-    the first `skip` rows best; the states of later rows are not looked at. InputError for fewer rows than 10 before or
-    2 after, or a channel that is missing.
+    Each run is driven by the inputs alone, and begins in the state with which it follows the first `skip` rows best.
+    InputError for fewer rows than 10 before or 2 after, or a channel that is missing.
     """
     out: list[TestError] = []
     for number, record in enumerate(records):
@@ -319,7 +315,7 @@ def test_errors(equations: Equations, records: Sequence[Record], skip: int) -> l
                 continue
             measured, found = record[state][skip:], run.mean[state]
             there, rmse = np.isfinite(measured), math.inf
-            if len(found) == record.n and np.isfinite(found).all():
+            if np.isfinite(found).all():
                 rmse = float(np.sqrt(np.mean((found[skip:] - measured)[there] ** 2)))
             sd = float(np.std(measured[there]))
             nrmse = rmse / sd if sd > 0.0 else math.inf

@@ -20,8 +20,6 @@ from bayeq.equation.quantities import PhysicalParameters, Quantity
 from bayeq.equation.written import moment
 from bayeq.errors import in_digits, printable
 from bayeq.expressions import parse
-from bayeq.figures.runs import draw_states
-from bayeq.figures.style import above, axes_for, style
 from bayeq.figures.terms import draw_terms
 from bayeq.forecast.score import percent, percentages
 from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
@@ -30,8 +28,6 @@ from bayeq.regression.design import COPY
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-    from bayeq.forecast.free_run import Forecast
 
 WIDTH = 100
 
@@ -322,16 +318,12 @@ def copies(eq: Answer) -> list[str]:
 # Candidates that are not in the equation are listed up to this many.
 MOST_OTHERS = 10
 
-# Width of the figure, heights of a bar, of what is around the bars, and of a state's panel [mm].
-FIGURE_WIDTH, BAR, AROUND, PANEL = 160.0, 6.0, 20.0, 40.0
-
 HEADER = ("term", "coefficient", "sd", "95 % interval")
 PARAMETERS = ("parameter", "value", "95 % interval", "unit", "meaning")
 
 
 def plot_terms(eq: Answer, ax: Any = None) -> list[Axes]:
     """Inclusion probabilities, coefficients and intervals, an equation in each of the axes."""
-    score = ENGINES[eq.method].score
     bars = {
         equation.target: [
             (row.name, row.pip, f"{row.coefficient}  ({row.interval})" if row.coefficient else "")
@@ -339,20 +331,7 @@ def plot_terms(eq: Answer, ax: Any = None) -> list[Axes]:
         ]
         for equation in eq.equations
     }
-    with style():
-        axes = axes_for(ax, [AROUND + BAR * max(len(rows), 3) for rows in bars.values()], FIGURE_WIDTH, pyplot=True)
-        for one, (target, rows) in zip(axes, bars.items(), strict=True):
-            draw_terms(one, target, rows, score)
-    return axes
-
-
-def plot_run(run: Forecast, ax: Any = None) -> list[Axes]:
-    """A free run, a state in each of the axes."""
-    with style():
-        axes = axes_for(ax, [PANEL] * len(run.mean), FIGURE_WIDTH, pyplot=True)
-        draw_states(axes, run)
-        above(axes[0])
-    return axes
+    return draw_terms(bars, ENGINES[eq.method].score, ax)
 
 
 def _listed(equation: Equation) -> list[text.Row]:

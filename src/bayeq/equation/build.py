@@ -75,10 +75,7 @@ TELL_APART = "other amplitudes would tell"
 def build_equations(
     selections: Sequence[Selection], units: Mapping[str, str], log: WarningLog, scored: Sequence[Equation] = ()
 ) -> tuple[tuple[Equation, ...], Scores | None]:
-    """The equations of a system, one per selection, and how they do on the rows held out; `log` takes the warnings.
-
-    Where they were found before with rows held out (`scored`), fits and verdicts on those rows are the earlier ones.
-    """
+    """The equations of a system and their scores on the rows held out; fits and verdicts are those `scored` before."""
     design = selections[0].fit.regression.design
     motion = design.motion
     dynamics = Dynamics.on(motion, design.terms, [one.reported for one in selections])
@@ -182,11 +179,7 @@ def _numbers(regression: Regression) -> float:
 def with_doubts(
     equations: Sequence[Equation], selections: Sequence[Selection], tolerance: float
 ) -> tuple[Equation, ...]:
-    """Equations with verdicts that consider other equations, and what is left of the record.
-
-    Other equations whose predictions are no further from the full model's than the tolerance, a share of the target's
-    standard deviation, or what the law lacks, are the same for practical purposes.
-    """
+    """Equations with verdicts that consider what is left of the record, and other equations beyond the tolerance."""
     design = selections[0].fit.regression.design
     again = repeating(design.motion, design.terms)
     found = []

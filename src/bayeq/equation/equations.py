@@ -10,6 +10,8 @@ from math import sqrt
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
+import numpy as np
+
 from bayeq.equation import along
 from bayeq.equation.answer import Answer
 from bayeq.equation.intervals import draws_of
@@ -88,9 +90,10 @@ class Equations(Answer):
         MissingExtraError
             matplotlib is not installed.
         """
-        from bayeq.equation.brief import plot_run, plot_terms
+        from bayeq.equation.brief import plot_terms
+        from bayeq.figures.runs import draw_states
 
-        return plot_terms(self, ax) if record is None else plot_run(self.simulate(record), ax)
+        return plot_terms(self, ax) if record is None else draw_states(self.simulate(record), ax)
 
     def predict(self, record: Record, return_std: bool = False) -> Any:
         """Target(s) of a record, eqs. (29)-(30): the right-hand side at its states and inputs as `motion` has them.
@@ -120,7 +123,13 @@ class Equations(Answer):
             Samples that are missing or left out, if `discover` has not said so.
         """
         (record,) = self._prepared([record], "predict")
-        return along.predictions(self, record, return_std)
+        columns = along.rows_of_record(record, self.roles, self.smooth, self.data.sensors)
+        parts = [equation.predict(columns, return_std) for equation in self.equations]
+        if len(parts) == 1:
+            return parts[0]
+        if return_std:
+            return tuple(np.column_stack(pieces) for pieces in zip(*parts, strict=True))
+        return np.column_stack(parts)
 
     def motion(self, record: Record) -> MotionRows:
         """States, targets and inputs of a record as `discover` makes them: smoothed, bridged, estimated.
@@ -383,12 +392,13 @@ class Equations(Answer):
             "a measurement is planned for equations whose terms hold no highest derivatives": any(
                 term.names & heads for equation in self.equations for term in equation.terms
             ),
+            "the likeliest models are not in the file of the equations: find and save them again": not all(
+                equation.models for equation in self.equations
+            ),
         }
         for why, holds in refused.items():
             if holds:
                 raise InputError(why)
-        if not all(equation.models for equation in self.equations):
-            raise InputError("the likeliest models are not in the file of the equations: find and save them again")
         if self.verdict.kind == "none":
             message = "the plan is for equations that were not found: do not rely on it; check channels and terms first"
             warnings.warn(message, DataWarning, stacklevel=2)

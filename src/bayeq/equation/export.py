@@ -96,19 +96,15 @@ def _value(node: Node, columns: Mapping[str, Any], array: Any) -> Any:
         case Call(function, arguments) if FUNCTIONS[function].definition:
             return _value(substituted(template(FUNCTIONS[function].definition), arguments), columns, array)
         case Call(function, arguments):
-            return _called(function, [_value(argument, columns, array) for argument in arguments], array)
+            values = [_value(argument, columns, array) for argument in arguments]
+            if function == "erf":
+                return import_module("jax.scipy.special").erf(*values)
+            if function in ("max", "min"):
+                return reduce(array.maximum if function == "max" else array.minimum, values)
+            name = "where" if function == "where" else FUNCTIONS[function].numpy.__name__
+            return getattr(array, name)(*values)
         case _:
             return columns[node.name]
-
-
-def _called(function: str, arguments: list[Any], array: Any) -> Any:
-    if function == "erf":
-        return import_module("jax.scipy.special").erf(*arguments)
-    if function in ("max", "min"):
-        return reduce(array.maximum if function == "max" else array.minimum, arguments)
-    if function == "where":
-        return array.where(*arguments)
-    return getattr(array, FUNCTIONS[function].numpy.__name__)(*arguments)
 
 
 # --- source text -----------------------------------------------------------------------------------------------------
@@ -295,10 +291,9 @@ def sum_in_latex(parts: Sequence[tuple[float, float, str]], uncertainty: Uncerta
     """
     out = ""
     for value, sd, term in parts:
-        if uncertainty == "plus-minus":
-            sign, number = "+", f"{_with_sd(value, sd, uncertainty)}"
-        else:
-            sign, number = "-" if value < 0 else "+", _with_sd(abs(value), sd, uncertainty)
+        inside = uncertainty == "plus-minus"  # where the sign is too
+        sign = "-" if value < 0 and not inside else "+"
+        number = _with_sd(value if inside else abs(value), sd, uncertainty)
         body = f"{number}\\,{term}" if term else number
         out += f" {sign} {body}" if out else f"-{body}" if sign == "-" else body
     return out or "0"

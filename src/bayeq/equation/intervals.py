@@ -83,10 +83,9 @@ class Model:
 def over_models(
     fit: RegressionFit, included: Posterior, shown_fit: RegressionFit, shown: Posterior, left_out: Sequence[LeftOut]
 ) -> OverModels:
-    """Intervals over models of a fitted regression.
+    """Intervals over models of the regressions of included terms and of those shown, beside these as reported.
 
-    `fit` and `shown_fit` are what the coefficients of the included terms and of those shown come from, `included` and
-    `shown` these as they are reported; terms that are included and `left_out` for a simpler equation are in no model.
+    Terms that are included and `left_out` for a simpler equation are in no model.
     """
     overall = mixture_of(fit, included)
     struck = np.isin(shown_fit.posterior.names, [left.name for left in left_out if left.reason in SIMPLER])

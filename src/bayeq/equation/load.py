@@ -140,12 +140,7 @@ def _restore(content: Saved) -> Equations:
         ),
     )
     bounds = [one.bounds for one in found.known()]  # constraints that cannot be read are damage
-    if any(ends is not None for ends in bounds):
-        bounded = [
-            replace(one, posterior=_bounded(one.posterior, ends), shown_posterior=_bounded(one.shown_posterior, ends))
-            for one, ends in zip(found.equations, bounds, strict=True)
-        ]
-        found = replace(found, equations=EquationTuple(bounded))
+    found = replace(found, equations=EquationTuple(map(_bounded, found.equations, bounds)))
     for equation in found:
         _check_restored(equation)
     return found
@@ -235,8 +230,11 @@ def _restored_shown(like: Posterior, saved: Saved, given: Saved | None) -> Poste
     )
 
 
-def _bounded(posterior: Posterior, ends: Floats | None) -> Posterior:
-    return replace(posterior, details=replace(posterior.details, bounds=ends))
+def _bounded(equation: Equation, ends: Floats | None) -> Equation:
+    included, shown = equation.posterior, equation.shown_posterior
+    details = replace(included.details, bounds=ends)
+    posterior, other = (replace(one, details=details) for one in (included, shown))
+    return replace(equation, posterior=posterior, shown_posterior=posterior if shown is included else other)
 
 
 def _given_terms(saved: Saved, given: Saved, like: Posterior | None = None) -> dict[str, Any]:

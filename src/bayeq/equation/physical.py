@@ -26,7 +26,7 @@ from bayeq.dictionary import evaluate_terms, slopes_of
 from bayeq.equation.answer import Answer
 from bayeq.equation.quantities import Mode, PhysicalParameters, Quantity, quantity
 from bayeq.equation.written import OscillatorUnits, quotient_unit
-from bayeq.errors import InputError, UnknownNameError, some_of, whole_number
+from bayeq.errors import InputError, some_of, whole_number
 from bayeq.expressions import Binary, Expression, Node, Number, Symbol, parse
 from bayeq.expressions.functions import TIME
 from bayeq.expressions.nodes import jumps_of
@@ -162,15 +162,11 @@ def physical_parameters(
     draws: int = 10_000,
     seed: int = 0,
 ) -> PhysicalParameters:
-    """Parameters of an oscillator from the posterior of its equation, given the included terms.
+    """Parameters of an oscillator given the included terms of its equation; see `bayeq.Equations.physical`.
 
-    Stiffnesses and damping are those about the position of rest. Where the units of lengths and forces are known ones,
-    parameters are in SI units (a displacement in mm is fine); otherwise in those of the channels. The span is the least
-    and largest displacement of the record; without it the position of rest is taken to be zero. The natural frequency
-    says that it is `without` some states, and there are no modes. For the rest see `bayeq.Equations.physical`.
-
-    InputError: not of second order, no term in the displacement alone that restores, a mass that is not positive, or
-    units that are not those of a motion and its derivatives, or not those of this motion.
+    The span is the least and largest displacement of the record; without it the position of rest is taken to be zero.
+    The natural frequency says that it is `without` some states, and there are no modes. InputError: no term in the
+    displacement alone that restores, a mass that is not positive, or units that do not fit the motion.
     """
     coefficients, position = _read(law, draws, seed, span)
     forces = [force for force in forces_of(law.chain) if force.term in coefficients]
@@ -214,10 +210,9 @@ def first_order_parameters(
     draws: int,
     seed: int,
 ) -> PhysicalParameters:
-    """Time constant and gains of states of first order, ``tau x' = -x + gain u + ...``, a law per state.
+    """Time constant and gains of states of first order, ``tau x' = -x + gain u + ...``, each linear in its own law.
 
-    Those of laws that hold the state in other terms too have none. The rest is as for `physical_parameters`, `without`
-    by target. InputError if no state decays by a term of its own.
+    The rest is as for `physical_parameters`, `without` by target. InputError if no state decays by a term of its own.
     """
     found, other, rng = list[Quantity](), list[str](), np.random.default_rng(seed)
     for law in laws:
@@ -275,9 +270,7 @@ def drawn_coefficients(law: Law, count: int, rng: np.random.Generator) -> tuple[
 def _force(inputs: Sequence[str], coefficients: Mapping[str, Floats], force: str | None) -> str | None:
     """The input that is the force: the only one that enters linearly, or the one named."""
     if force is not None:
-        if force not in inputs:
-            raise UnknownNameError("input", force, inputs)
-        if force not in coefficients:
+        if named("input", force, inputs) not in coefficients:
             raise InputError(f"{force} is not in the equation: its coefficient says nothing of the mass")
         return force
     linear = [name for name in inputs if name in coefficients]
@@ -324,9 +317,8 @@ def system_parameters(
 ) -> PhysicalParameters:
     """Modes of the linear part of several equations of second order, with masses, stiffnesses and dampings as known.
 
-    There is a law per coordinate. Of at most 4000 draws over the number of coordinates the modes are taken; there are
-    none where a term makes them depend on an input, or holds an acceleration. InputError for equations without a mode
-    that oscillates.
+    There are no modes where a term makes them depend on an input, or holds an acceleration. InputError for equations
+    without a mode that oscillates.
     """
     n = len(laws)
     count = min(draws, max(MOST_DRAWS // n, 100))
@@ -464,12 +456,10 @@ def _is_displaced(
 def _about_rest(
     coefficients: Mapping[Expression, Floats], constant: Floats, x: str, v: str, span: tuple[float, float]
 ) -> tuple[Floats, dict[Expression, Floats]]:
-    """The positions of rest (n,), and the coefficients about them, (n,) each.
+    """The positions of rest (n,), and the coefficients about them, (n,) each, of n draws.
 
-    Given are n draws of the terms' coefficients and of the constant, and the least and largest displacement of the
-    record. Coefficients are of terms in the displacement from the position of rest; other terms in `x` alone add their
-    slope to that of `x`, and those that are not powers of displacement and velocity stay. InputError if there is no
-    such position in or near the range of the record.
+    Terms in `x` alone that are no powers add their slope to that of `x`, others that are none stay. InputError if there
+    is no such position in or near the span of the record.
     """
     alone = {term: values for term, values in coefficients.items() if term.names == {x}}
     width = span[1] - span[0]

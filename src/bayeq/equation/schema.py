@@ -6,6 +6,7 @@ The keywords are those that `schema.json` uses; `tests/test_saved_files.py` comp
 from __future__ import annotations
 
 import json
+import operator
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache
@@ -32,10 +33,10 @@ TYPES: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "null": ("null", lambda value: value is None),
 }
 BOUNDS: dict[str, tuple[str, Callable[[Any, Any], bool]]] = {
-    "minimum": ("at least", lambda value, bound: value >= bound),
-    "exclusiveMinimum": ("more than", lambda value, bound: value > bound),
-    "maximum": ("at most", lambda value, bound: value <= bound),
-    "exclusiveMaximum": ("less than", lambda value, bound: value < bound),
+    "minimum": ("at least", operator.ge),
+    "exclusiveMinimum": ("more than", operator.gt),
+    "maximum": ("at most", operator.le),
+    "exclusiveMaximum": ("less than", operator.lt),
 }
 
 
@@ -229,18 +230,16 @@ def _check_diagnostics(checks: Saved, names: set[str], states: set[str], place: 
 
 def _check_posterior(state: Saved, terms: Sequence[Saved], place: str) -> None:
     size = len(terms)
-    _check_length(state["center"], size, f"{place}.center")
-    _check_length(state.get("freedom") or terms, size, f"{place}.freedom")
-    _check_covariance(state["covariance"], sum(term["included"] for term in terms), f"{place}.covariance")
-    shown = [j for j, term in enumerate(terms) if term["shown"]]
-    model, here = state.get("shown"), f"{place}.shown"
-    if model is not None:
-        members = model.get("terms", shown)
-        _require(members == shown, f"{here}.terms: the terms that are shown are expected, {shown}")
+    for which, model, here in (("included", state, place), ("shown", state["shown"], f"{place}.shown")):
+        inside = [j for j, term in enumerate(terms) if term[which]]
+        if model is None:
+            continue
+        members = model.get("terms", inside)
+        _require(members == inside, f"{here}.terms: the terms that are {which} are expected, {inside}")
         _check_length(model.get("center", terms), size, f"{here}.center")
         _check_length(model.get("freedom") or terms, size, f"{here}.freedom")
-        _check_length(model.get("coef", shown), len(shown), f"{here}.coef")
-        _check_covariance(model["covariance"], len(shown), f"{here}.covariance")
+        _check_length(model.get("coef", inside), len(inside), f"{here}.coef")
+        _check_covariance(model["covariance"], len(inside), f"{here}.covariance")
     _check_places(state["optimum"] or [], size, f"{place}.optimum")
     for k, model in enumerate(state.get("models", ())):
         _check_places(model["members"], size, f"{place}.models[{k}].members")

@@ -16,7 +16,7 @@ from bayeq.dictionary.specification import split_at
 from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation
 from bayeq.equation.verdict import LEAST_SHOWN
-from bayeq.equation.written import moment, odds_text, plain_sd, round_to, with_interval
+from bayeq.equation.written import chance, moment, odds_text, plain_sd, round_to, with_interval
 from bayeq.errors import in_digits, printable
 from bayeq.forecast.score import Scores, percent, percentages
 from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
@@ -125,11 +125,11 @@ def source_of(eq: Answer, short: bool = False) -> str:
         judged = "fits" if eq.data.refitted else "residuals"
         used = "all used" if eq.data.refitted else used
         used += f"; {judged}, free runs and verdict are those of {eq.data.stretches} stretches of them"
+    elif eq.data.refitted and short:
+        used = f"all used; checks are of the first {eq.data.n_train}"
     elif eq.data.refitted:
         runs = " and free runs" if eq.states else ""
         used = f"all used; fits{runs} on the last {eq.data.n_held_out} are those of the first {eq.data.n_train}"
-    if short and eq.data.refitted and not eq.data.stretches:
-        used = f"all used; checks are of the first {eq.data.n_train}"
     rate = ""  # and length of the records, as far as known
     if eq.data.rows_as_time and not eq.roles.discrete:
         rate = ", time not known"
@@ -274,12 +274,12 @@ def _checks(equation: Equation, scores: Scores | None) -> Iterator[str]:
     yield f"residuals: lag-1 autocorrelation {found.lag1:.2f}, effective sample size {found.n_eff:.0f} of {found.n}"
     yield (
         f"residuals: {shape} (skewness {found.skewness:.2f}, excess kurtosis {found.kurtosis:.2f},"
-        f" {_chance(found.normality)})"
+        f" {chance(found.normality)})"
     )
     if left is not None:
         yield f"unexplained beside noise: {left} of the target's standard deviation"
     if found.driver is not None and found.driver.p_value < DOUBTFUL:
-        yield f"residuals: follow {found.driver} ({_chance(found.driver.p_value)})"
+        yield f"residuals: follow {found.driver} ({chance(found.driver.p_value)})"
     elif found.driver is not None:
         yield "residuals: follow no input or state at any lag"
 
@@ -290,10 +290,6 @@ def left_beside_noise(equation: Equation) -> str | None:
     if share is None:
         return None
     return percent(share) if share > LEAST_SHOWN else f"less than {100 * LEAST_SHOWN:g} %"
-
-
-def _chance(p: float) -> str:
-    return f"p = {p:.2g}" if p >= 1e-4 else "p < 0.0001"
 
 
 _NAME = re.compile(r"[^\W\d]\w*")

@@ -14,6 +14,7 @@ from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
 from bayeq.equation.selection.alternatives import Alternatives
 from bayeq.equation.selection.excitation import Repeating
+from bayeq.equation.written import chance
 from bayeq.errors import in_digits
 from bayeq.expressions.implicit import multiplied
 from bayeq.forecast.dynamics import Dynamics
@@ -181,7 +182,7 @@ def doubted(
         return Verdict(
             "nearly true",
             f"what is left of {coloured.channel} is not white noise: {in_digits(coloured.ratio)} times as much between"
-            f" {in_digits(coloured.low)} and {in_digits(coloured.high)} {rate} (p {_chance(coloured.p)})",
+            f" {in_digits(coloured.low)} and {in_digits(coloured.high)} {rate} ({chance(coloured.p, 1)})",
             f"{CAREFUL}: check calibration, timing, filters and hum of {coloured.channel}",
         )
     if n_eff is not None:
@@ -238,13 +239,9 @@ def _changing(one: Change) -> Verdict:
     size = "its sign" if one.reverses else f"by {100.0 * one.relative:+.2g} %"
     return Verdict(
         "nearly true",
-        f"{one.of} changes {size} over the record (p {_chance(one.p)})",
+        f"{one.of} changes {size} over the record ({chance(one.p, 1)})",
         f"{CAREFUL}: answer parts of the record apart (--rows), or offer t times the term",
     )
-
-
-def _chance(p: float) -> str:
-    return f"= {p:.1g}" if p >= 1e-4 else "< 0.0001"
 
 
 def worst(verdicts: Sequence[tuple[str, Verdict]]) -> Verdict:
@@ -305,21 +302,20 @@ def noise_share(regression: Regression, variance: float) -> float:
 
 def state_noise(motion: Motion) -> dict[str, float]:
     """Standard deviation of the noise of each measured channel of the chains, where a smoother has learned it."""
-    out = {}
-    for chain, smoothing in zip(motion.roles.chains, motion.smoothing, strict=False):
-        for name, sd, gain in zip(chain.measured, smoothing.model.noise_sd, smoothing.unit_gains, strict=True):
-            if name is not None and sd is not None:
-                out[name] = abs(sd * float(gain))
-    return out
+    return {
+        name: abs(sd * float(gain))
+        for chain, smoothing in zip(motion.roles.chains, motion.smoothing, strict=False)
+        for name, sd, gain in zip(chain.measured, smoothing.model.noise_sd, smoothing.unit_gains, strict=True)
+        if name is not None and sd is not None
+    }
 
 
 def window_errors(dynamics: Dynamics, motion: Motion) -> Sequence[tuple[float, str] | None]:
-    """Errors of free runs over windows, in units of the spread and noise of the states over the whole motion.
+    """Of each equation the median error of free runs over windows, and how long these are: a period, in words.
 
-    Each is the median over windows of the rows held out, or of the training rows if none are. A window is one period
-    long, 2 pi sd(x)/sd(x') of the whole motion; that of chaotic motion at most `correlation_time`. Of each equation
-    these are the error, infinite where most runs blow up, and how long the windows are; None without time, with too few
-    rows, and of static laws.
+    Windows are of the rows held out, or of the training rows if none are; those of chaotic motion last at most
+    `correlation_time`. Units are the spread and noise of the states over the whole motion. None without time, with too
+    few rows, and of static laws.
     """
     none = [None] * len(dynamics.laws)
     if not (motion.timed and dynamics.states):
@@ -335,19 +331,11 @@ def window_errors(dynamics: Dynamics, motion: Motion) -> Sequence[tuple[float, s
         windows = window_runs(dynamics, pieces, min(period, shorter), unit=unit) if pieces else []
         if windows:
             length = "one correlation time" if shorter < period else "one period"
-            errors = _errors_by_chain(dynamics, windows)
-            return [None if error is None else (error, length) for error in errors]
+            places = [[dynamics.states.index(name) for name in chain.states] for chain in dynamics.roles.chains]
+            return [(_median_error(windows, own), length) if own else None for own in places]
     return none
 
 
-def _errors_by_chain(dynamics: Dynamics, windows: Sequence[tuple[Floats, Floats]]) -> list[float | None]:
-    out, first = list[float | None](), 0
-    for chain in dynamics.roles.chains:
-        if chain.static:
-            out.append(None)
-            continue
-        part = slice(first, first + len(chain.states))
-        squares = [float(np.mean((run[:, part] - states[:, part]) ** 2)) for run, states in windows]
-        out.append(math.sqrt(np.median([s if math.isfinite(s) else math.inf for s in squares])))
-        first = part.stop
-    return out
+def _median_error(windows: Sequence[tuple[Floats, Floats]], places: Sequence[int]) -> float:
+    squares = [float(np.mean((run[:, places] - states[:, places]) ** 2)) for run, states in windows]
+    return math.sqrt(np.median([s if math.isfinite(s) else math.inf for s in squares]))

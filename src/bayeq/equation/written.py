@@ -44,13 +44,11 @@ def _of(node: Node, units: Mapping[str, str]) -> Unit | None:
             return parse_unit(units[name]) if name in units else None
         case Unknown(name):
             return parse_unit(units[f"{{{name}}}"]) if f"{{{name}}}" in units else None
-        case Negate(operand) | Call("abs" | "relu", (operand,)):
+        case Negate(operand) | Call("abs" | "relu", (operand,)) | Call("mod", (operand, _)):
             return _of(operand, units)
         case Call("sqrt" | "cbrt" as root, (operand,)):
             inside = _of(operand, units)
             return None if inside is None else multiply_units({}, inside, Fraction(1, 2 if root == "sqrt" else 3))
-        case Call("mod", (operand, _)):
-            return _of(operand, units)
         case Call("max" | "min", arguments) | Call("where", (_, *arguments)):
             found = [_of(one, units) for one in arguments if one != Number(0)]  # 0 has every unit
             return found[0] if found and all(one == found[0] for one in found) else None
@@ -314,11 +312,9 @@ def left_out_forms(forms: Forms, pip: Mapping[str, float]) -> Iterator[str]:
 
 def row_of(one: ConstantEstimate, unit: str | None) -> dict[str, Any]:
     """The row of a constant in an equation's table."""
-    row: dict[str, Any] = {"term": f"{{{one.name}}}", "included": True, "shown": True, "why": "", "effective": False}
-    for prefix in ("", "shown_"):
-        row |= {f"{prefix}coef": one.value, f"{prefix}sd": plain_sd(one)}
-        row |= {f"{prefix}ci_low": one.ci95[0], f"{prefix}ci_high": one.ci95[1]}
-    return {**row, "unit": unit}
+    row = {"term": f"{{{one.name}}}", "included": True, "shown": True, "why": "", "effective": False, "unit": unit}
+    numbers = {"coef": one.value, "sd": plain_sd(one), "ci_low": one.ci95[0], "ci_high": one.ci95[1]}
+    return {**row, **numbers, **{f"shown_{name}": value for name, value in numbers.items()}}
 
 
 def factor_of(term: str) -> str:
@@ -355,6 +351,11 @@ def odds_text(log_odds: float) -> str:
     ratio = math.exp(min(abs(log_odds), 700.0))
     number = f"{ratio:.1f}" if ratio < 9.95 else f"{ratio:.0f}" if ratio < 1e6 else f"{ratio:.0e}"
     return f"1:{number}" if log_odds <= 0 else f"{number}:1"
+
+
+def chance(p: float, digits: int = 2) -> str:
+    """A p-value as text."""
+    return f"p = {p:.{digits}g}" if p >= 1e-4 else "p < 0.0001"
 
 
 def moment(time: float, discrete: bool) -> str:

@@ -328,11 +328,6 @@ class SpikeSlabBMA(SpikeSlabRegressor):
             As in `Equation.sensitivity`.
         target : int, optional
             Which target, of a fit to several.
-
-        Returns
-        -------
-        PriorSensitivity
-            The PIPs of the target for every value.
         """
         k = self._target(target)
         grams, prior = self._sampled

@@ -11,20 +11,6 @@ from bayeq.expressions.parse import parse
 from bayeq.expressions.symbolic import to_sympy
 
 __all__ = [
-    "FUNCTIONS",
-    "Binary",
-    "Call",
-    "Constant",
-    "Evaluator",
-    "Expression",
-    "Negate",
-    "Node",
-    "Number",
-    "Symbol",
-    "Tape",
-    "Unknown",
-    "number",
-    "parse",
-    "run_tape",
-    "to_sympy",
-]
+    "FUNCTIONS", "Binary", "Call", "Constant", "Evaluator", "Expression", "Negate", "Node", "Number", "Symbol",
+    "Tape", "Unknown", "number", "parse", "run_tape", "to_sympy",
+]  # fmt: skip

@@ -39,12 +39,9 @@ class Evaluator:
     """Evaluates expressions on columns; every sub-expression is computed once.
 
     Columns are the channels (arrays of one common shape, usually ``(n,)``) and parameters (floats) by name; InputError
-    if the arrays differ in shape. Results are read-only, since later results may share them; all intermediate results
-    live as long as the evaluator. Numerical trouble (division by zero, overflow, the logarithm of a negative number)
-    gives non-finite values and no warning: the caller judges. ``sign(0)`` is 0.
+    if the arrays differ in shape. Results are read-only, since later results may share them. Numerical trouble
+    (division by zero, overflow, the logarithm of a negative number) gives non-finite values and no warning.
 
-    Examples
-    --------
     >>> from bayeq.expressions import parse
     >>> evaluate = Evaluator({"x": [1.0, 2.0, 3.0], "k": 2.0})
     >>> evaluate(parse("k*x**2"))
@@ -210,8 +207,6 @@ def run_tape(program: Program, tangents: Floats | None) -> None:
 class Tape:
     """Expressions compiled for `run_tape`; make one with `Tape.compile`.
 
-    Examples
-    --------
     >>> from bayeq.expressions import Tape, parse
     >>> tape = Tape.compile([parse("v"), parse("-2*v-x**3")], ["x", "v"])
     >>> tape([2.0, 1.0])

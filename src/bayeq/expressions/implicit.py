@@ -20,8 +20,6 @@ _ZERO, _ONE = Number(0), Number(1)
 def multiplied(term: Expression, targets: Sequence[str]) -> tuple[int, Expression] | None:
     """The highest derivative that a term is proportional to, and the rest; None without any, ValueError if otherwise.
 
-    Examples
-    --------
     >>> from bayeq.expressions import parse
     >>> multiplied(parse("a2*cos(p-q)"), ["a1", "a2"])
     (1, parse('cos(p-q)'))

@@ -215,8 +215,6 @@ def replaced(node: Node, values: Mapping[Node, Node]) -> Node:
 class Expression:
     """A term or a right-hand side, as made by `parse`; equal, and hashed, by its tree.
 
-    Examples
-    --------
     >>> from bayeq.expressions import parse
     >>> e = parse("(x ** 2) * v - sin(th)")
     >>> e.text, sorted(e.names)

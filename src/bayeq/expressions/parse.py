@@ -316,18 +316,13 @@ def _parse(text: str) -> Expression:
 def parse(text: str, names: Iterable[str] | None = None) -> Expression:
     """Parse a term or a right-hand side, such as ``"x**2*v"`` or ``"(u - c*v - k*x)/m"``.
 
-    Allowed are decimal numbers, names, ``+ - * / **`` (``^`` is ``**``), unary ``+ -``, brackets, calls of the
-    functions of `bayeq.expressions.functions.FUNCTIONS`, other spellings of them (`ALIASES`), and comparisons as
-    conditions of ``where``, with Python's precedence. ``pi`` and ``e`` are numbers unless `names` has them.
-    At most 1000 characters, 50 levels and 500 nodes. The text is never evaluated. Without `names` every name may occur
-    that is not a function's. Texts that are equal up to spaces, brackets, spelling of numbers and of functions give
-    equal expressions.
+    docs/terms.md has the language; the text is never evaluated. ``pi`` and ``e`` are numbers unless `names` has them.
+    Without `names` every name may occur that is not a function's. Texts that are equal up to spaces, brackets, spelling
+    of numbers and of functions give equal expressions.
 
     ExpressionError if the text is malformed or uses anything else, a line that says what and where; UnknownNameError if
     a name is not among `names`.
 
-    Examples
-    --------
     >>> parse("x ** 2.0 * (v)")
     parse('x**2*v')
     >>> parse("x^2 + arctan2(v, x)")
@@ -377,8 +372,6 @@ def template(text: str) -> Node:
 def substituted(node: Node, arguments: Sequence[Node]) -> Node:
     """A template with arguments for a and b.
 
-    Examples
-    --------
     >>> Expression(substituted(template("(1+sign(a))/2"), [parse("x-v").tree])).text
     '(1+sign(x-v))/2'
     """

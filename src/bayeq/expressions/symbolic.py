@@ -23,8 +23,6 @@ def to_sympy(expression: Expression) -> Any:
     ``pi`` and ``e`` SymPy's numbers. SymPy's automatic simplification applies (``x + x`` is ``2*x``); numbers beyond
     the range of a float become infinite, as they do in evaluation.
 
-    Examples
-    --------
     >>> from bayeq.expressions import parse
     >>> to_sympy(parse("v*abs(v)+x**2/3"))
     v*Abs(v) + x**2/3
@@ -120,8 +118,6 @@ def mathml(expression: Expression, names: Mapping[str, str] | None = None, facto
 
     `names` has MathML of symbols that are not written by their names, such as ``symbol_mathml("x", dots=1)`` of v.
 
-    Examples
-    --------
     >>> from bayeq.expressions import parse
     >>> mathml(parse("x**3"))
     '<mrow><msup><mi>x</mi><mn>3</mn></msup></mrow>'
@@ -135,8 +131,6 @@ def mathml(expression: Expression, names: Mapping[str, str] | None = None, facto
 def symbol_mathml(name: str, dots: int = 0) -> str:
     """A name, letters after the first underscore as its index, with a dot above for each derivative.
 
-    Examples
-    --------
     >>> symbol_mathml("x", dots=1)
     '<mover><mi>x</mi><mo stretchy="false">˙</mo></mover>'
     >>> symbol_mathml("x_1")
@@ -155,8 +149,6 @@ def symbol_mathml(name: str, dots: int = 0) -> str:
 def step_mathml(name: str) -> str:
     """A channel of a map at its sample: x[-1] is x with the index k-1.
 
-    Examples
-    --------
     >>> step_mathml("x[-1]")
     '<msub><mi>x</mi><mrow><mi>k</mi><mo>−</mo><mn>1</mn></mrow></msub>'
     """
@@ -171,8 +163,6 @@ def step_mathml(name: str) -> str:
 def step_latex(name: str) -> str:
     r"""The same in LaTeX.
 
-    Examples
-    --------
     >>> step_latex("x[+1]"), step_latex("x_a")
     ('x_{k+1}', 'x_{a,k}')
     """
@@ -187,8 +177,6 @@ def step_latex(name: str) -> str:
 def number_mathml(text: str) -> str:
     """A number without sign as Python prints it, powers of ten written out.
 
-    Examples
-    --------
     >>> number_mathml("9.96e+04")
     '<mn>9.96</mn><mo>×</mo><msup><mn>10</mn><mn>4</mn></msup>'
     """

@@ -26,9 +26,10 @@ BAND: dict[str, Any] = {"color": style.BLUE, "alpha": 0.28, "linewidth": 0.0}
 MEASURED: dict[str, Any] = {"color": "#A8A8A8", "linewidth": 2.6, "label": "measured"}
 DRAWN: dict[str, Any] = {"color": style.BLUE, "linewidth": 0.9}
 
-# Heights of a panel and of the residual below it [mm]; those of many panels.
+# Heights of a panel and of the residual below it [mm]; those of many panels; that of a state in a quick look.
 HEIGHTS = (56.0, 28.0)
 LOW = (30.0, 15.0)
+STATE = 40.0
 
 # Share of a record that is drawn where no rows were held out.
 LAST = 0.2
@@ -87,15 +88,19 @@ def _mark_blow_up(ax: Axes, run: style.Run) -> None:
         ax.axvline(run.blew_up_at, color=style.RED, linestyle=style.DASHED, linewidth=0.8, label="blew up")
 
 
-def draw_states(axes: Sequence[Axes], run: style.Run) -> None:
-    """A free run against what was measured, a state in each of the axes."""
-    for ax, name in zip(axes, run.mean, strict=True):
-        _state(ax, run, name)
-    axes[-1].set_xlabel("time [s]")
+def draw_states(run: style.Run, ax: Any) -> list[Axes]:
+    """A free run against what was measured, a state in each of the axes that are given, or of a figure of pyplot's."""
+    with style.style():
+        axes = style.axes_for(ax, [STATE] * len(run.mean), style.QUICK, pyplot=True)
+        for one, name in zip(axes, run.mean, strict=True):
+            _state(one, run, name)
+        axes[-1].set_xlabel(f"time [{run.clock}]")
+        style.above(axes[0])
+    return axes
 
 
 @style.picture
-def draw_forecasts(runs: Sequence[tuple[str, style.Run]], time: str = "time [s]") -> Figure:
+def draw_forecasts(runs: Sequence[tuple[str, style.Run]], time: str = "") -> Figure:
     """Free runs under each other, with titles, which may be empty, and a label of time; a panel for each state."""
     heights = [height for _, run in runs for name in run.mean for height in LOW[: 1 + (name in run.measured)]]
     titles = sum(bool(title) for title, _ in runs)
@@ -114,7 +119,7 @@ def draw_forecasts(runs: Sequence[tuple[str, style.Run]], time: str = "time [s]"
                 _residual(ax, run.time, run.measured[name], _curve(run, name), "free run")
                 ax.set_ylabel("residual")
             ax.tick_params(axis="x", labelbottom=k == len(run.mean) - 1)
-        ax.set_xlabel(time)
+        ax.set_xlabel(time or f"time [{run.clock}]")
     figure.align_ylabels()
     figure.legend(handles=style.labelled(axes.flat), loc="outside upper right", ncols=4, handlelength=2.2)
     return figure

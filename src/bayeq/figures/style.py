@@ -29,9 +29,10 @@ if TYPE_CHECKING:
 P = ParamSpec("P")
 T = TypeVar("T")
 
-# Widths of a journal's page [mm].
+# Widths of a journal's page, and of a quick look [mm].
 SINGLE_COLUMN = 90.0
 FULL_WIDTH = 190.0
+QUICK = 160.0
 
 MM_PER_INCH = 25.4
 DPI = 300
@@ -206,16 +207,12 @@ def write_output(file: Path, table: Callable[[], pd.DataFrame], figure: Callable
         _write(figure(), file)
 
 
-def write_by_target(file: Path, results: Mapping[str, Any], draw: Callable[[Mapping[str, Any]], Figure]) -> None:
-    """`write_output` of results by the target of their equation: tables joined, the target in front, or one figure."""
+def joined(column: str, results: Iterable[tuple[str, Any]]) -> pd.DataFrame:
+    """The tables of results below each other, with the name of each in a column in front."""
+    import pandas as pd
 
-    def table() -> pd.DataFrame:
-        import pandas as pd
-
-        tables = {target: result.table() for target, result in results.items()}
-        return pd.concat(tables, names=["target", None]).reset_index(level=0)
-
-    write_output(file, table, lambda: draw(results))
+    names, tables = zip(*((name, result.table()) for name, result in results), strict=True)
+    return pd.concat(tables, keys=names, names=[column, None]).reset_index(level=0)
 
 
 def mathtext(expression: str, order: tuple[str, ...] = ()) -> str:
@@ -310,9 +307,8 @@ def axes_for(
 ) -> list[Axes]:
     """The axes that are given, or those of a new figure, one below the other.
 
-    `ax` is what the caller gives: matplotlib axes, a sequence of them, or None. Heights are those of the panel of each
-    of the axes, with its labels, and the width that of the figure [mm]; with `sharex` the horizontal axis is the same.
-    A figure of `pyplot` is shown by notebooks by itself. InputError if another number of axes is given than is needed.
+    Heights are those of the panel of each of the axes, with its labels, and the width that of the figure [mm]. A figure
+    of `pyplot` is shown by notebooks by itself. InputError if another number of axes is given than is needed.
     """
     if ax is not None:
         given = list(np.ravel(np.asarray(ax, dtype=object)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import floor, isfinite, log10
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 # A term beside the least that are drawn, so that the map is not of a single one.
 LEAST_TERMS = 6
 
+# Heights in a quick look: of a bar, and of what is around the bars [mm].
+BAR, AROUND_BARS = 6.0, 20.0
+
 
 def _bars(ax: Axes, labels: Sequence[str], pip: Sequence[float], shown: Sequence[bool]) -> None:
     """A bar for each term, as long as its probability: filled where the term is in the equation."""
@@ -40,15 +43,20 @@ def _bars(ax: Axes, labels: Sequence[str], pip: Sequence[float], shown: Sequence
     ax.set_xlim(0.0, 1.0)
 
 
-def draw_terms(ax: Axes, target: str, terms: Sequence[tuple[str, float, str]], score: str) -> None:
-    """Term, probability and coefficient as text, which is empty for a term that is not shown: a bar for each."""
-    names = [name for name, _, _ in terms]
-    labels = [style.term_label(name, names) for name in names]
-    _bars(ax, labels, [pip for _, pip, _ in terms], [bool(c) for _, _, c in terms])
-    ax.set_xlabel(f"{score} (a blue bar: in the equation; right: coefficient, 95 % interval)")
-    ax.set_title(style.term_label(target), loc="left")
-    for place, (_, _, coefficient) in enumerate(terms):
-        _beside(ax, place, coefficient.replace("-", "\N{MINUS SIGN}"))
+def draw_terms(by_target: Mapping[str, Sequence[tuple[str, float, str]]], score: str, ax: Any) -> list[Axes]:
+    """A bar for each term of each equation: its name, probability, and coefficient, empty where it is not shown."""
+    with style.style():
+        heights = [AROUND_BARS + BAR * max(len(terms), 3) for terms in by_target.values()]
+        axes = style.axes_for(ax, heights, style.QUICK, pyplot=True)
+        for one, (target, terms) in zip(axes, by_target.items(), strict=True):
+            names = [name for name, _, _ in terms]
+            labels = [style.term_label(name, names) for name in names]
+            _bars(one, labels, [pip for _, pip, _ in terms], [bool(c) for _, _, c in terms])
+            one.set_xlabel(f"{score} (a blue bar: in the equation; right: coefficient, 95 % interval)")
+            one.set_title(style.term_label(target), loc="left")
+            for place, (_, _, coefficient) in enumerate(terms):
+                _beside(one, place, coefficient.replace("-", "\N{MINUS SIGN}"))
+    return axes
 
 
 def _beside(ax: Axes, place: float, text: str, **look: Any) -> None:
@@ -271,11 +279,9 @@ NAMES, LONGEST = 24, 16
 
 @style.picture
 def draw_drift(table: pd.DataFrame) -> Figure:
-    """Coefficients with 95 % intervals over files, from left to right, a panel for each target and term.
+    """Coefficients of `Batch.table` with 95 % intervals over files, from left to right, a panel for each term.
 
-    The table is that of `Batch.table`: its rows of terms that are in the equation of their file are drawn, of 12 terms
-    at most. Marks are those of the verdict; a grey band is the interval of the common equation, where there is one.
-    InputError if there are no rows.
+    Marks are those of the verdict; a grey band is the interval of the common equation. InputError if there are no rows.
     """
     if not len(table):
         raise InputError("no file has an equation: there is nothing to draw; see the messages of the files")

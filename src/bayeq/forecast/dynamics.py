@@ -73,10 +73,9 @@ class Dynamics:
     def of(
         cls, laws: Sequence[Law], roles: Roles, intercepts: Sequence[bool] | None = None, forced: bool = False
     ) -> Dynamics:
-        """From the terms that equations, one per chain, include; nothing is compiled to machine code for them.
+        """From the terms that equations, one per chain, include, and by default their intercepts.
 
-        By default all have an intercept. Where they are `forced`, each equation with `error_lines` has a force too;
-        these are the last of what drives a run.
+        Where they are `forced`, each with `error_lines` has a force too; these are the last of what drives a run.
         """
         kept = [tuple(compress(law.terms, law.posterior.support)) for law in laws]
         constant = (True,) * len(kept) if intercepts is None else tuple(intercepts)
@@ -176,8 +175,7 @@ def normal_draws(mean: Floats, covariance: Floats, count: int, rng: np.random.Ge
 def finest_step(dynamics: Dynamics, parameters: Floats, states: Floats, drive: Drive) -> float:
     """A step [s] at which integration errs little: the median sampling interval over 1, 2, 4, 8 or 16; 0 of maps.
 
-    It is tried at states (n, d), of which rows that are not finite are left out, with parameters (p,) and the drive of
-    these rows.
+    It is tried at states (n, d), where these are finite, with parameters (p,) and the drive of these rows.
     """
     if dynamics.roles.discrete:
         return 0.0

@@ -14,7 +14,7 @@ from bayeq.arrays import Floats
 from bayeq.errors import InputError, UnknownNameError, in_digits, whole_number
 from bayeq.expressions.parse import EARLIER
 from bayeq.figures.runs import draw_forecasts
-from bayeq.figures.style import write_output
+from bayeq.figures.style import joined, write_output
 from bayeq.forecast.dynamics import Dynamics, finest_step
 from bayeq.forecast.rows import Courses, Rows, between, normalised_error, require_time, rows_of, window_of
 from bayeq.inference.posterior import Projected
@@ -82,7 +82,7 @@ class Forecast:
         MissingExtraError
             matplotlib is not installed.
         """
-        return draw_forecasts([("", self)], f"time [{self.clock}]")
+        return draw_forecasts([("", self)])
 
     def table(self) -> pd.DataFrame:
         """Columns time, and of each state ``x``, ``x_low``, ``x_high`` and ``x_measured``, as far as known."""
@@ -223,19 +223,10 @@ def _beginning(
 
 def write_forecasts(file: Path, runs: Sequence[tuple[str, Forecast]]) -> None:
     """Write free runs of records, by names, as a table (.csv) or a figure (of the first six), as the suffix says."""
-    several = len(runs) > 1
-
-    def table() -> pd.DataFrame:
-        import pandas as pd
-
-        names, tables = zip(*((name, run.table()) for name, run in runs), strict=True)
-        whole = pd.concat(tables, keys=names, names=["record", None]).reset_index(level=0)
-        return whole if several else tables[0]
-
-    def figure() -> Figure:
-        return draw_forecasts([(name if several else "", run) for name, run in runs[:MOST_DRAWN]])
-
-    write_output(file, table, figure)
+    if len(runs) == 1:
+        write_output(file, runs[0][1].table, lambda: draw_forecasts([("", runs[0][1])]))
+    else:
+        write_output(file, lambda: joined("record", runs), lambda: draw_forecasts(runs[:MOST_DRAWN]))
 
 
 # A run has blown up where a state is further from its measured range than this many times the range.
@@ -277,11 +268,9 @@ def state_range(states: Floats) -> tuple[Floats, Floats]:
 
 
 def mean_run(dynamics: Dynamics, parameters: Floats, first: Floats, drive: Drive) -> tuple[Floats, int | None, Drive]:
-    """A free run from a state (d,), with a step found on the way.
+    """A free run from a state (d,) with parameters (p,): states (n, d), where it left its range, and the drive.
 
-    The step is judged on the run itself, taken with whole sampling intervals at first and again with shorter ones where
-    these are coarse. Returned are the states (n, d), NaN from where the run left the range, the row where it did or
-    None, and the drive with the step found. Parameters are (p,).
+    States are NaN from the row on where it did so (None if nowhere); the drive has the step that the run needed.
     """
     n = len(drive.inputs)
     if dynamics.roles.discrete:
@@ -320,11 +309,10 @@ def least_rows(dynamics: Dynamics) -> int:
 def fitted_start(dynamics: Dynamics, parameters: Floats, rows: Rows, low: Floats, high: Floats) -> Floats:
     """The initial state (d,) with which a free run follows the first period of some rows best.
 
-    A state read off the record at the first row carries that row's noise, and a smoothed one is least sure at the ends
-    of a record; the run then keeps the error for good. So the state is estimated from what was measured over the first
-    period (as output-error methods do with initial conditions; Ljung, System Identification, 1999, section 16.3), held
-    to the one that was read off where the samples say little. Where nothing better is found it is that of the first
-    row. Runs go on from `low` to `high`, (d,) each; parameters are (p,).
+    A state read off at the first row carries that row's noise, and the run keeps the error for good. So it is estimated
+    from what was measured over the first period (as output-error methods do; Ljung, System Identification, 1999,
+    section 16.3), held to the one that was read off where the samples say little, which it is if nothing is better.
+    Runs go on from `low` to `high`, (d,) each; parameters are (p,).
     """
     whole = rows.stack(dynamics.states)
     first, spread = whole[0], whole.std(axis=0)
@@ -406,9 +394,8 @@ def run_bands(
 def drawn_sines(own: Projected, count: int, rng: np.random.Generator) -> Floats:
     """Random forces of the size and spectrum of an equation's error, sums of sines (Shinozuka and Jan 1972).
 
-    Of each force, amplitude, angular frequency [rad/s] and phase of M sines, (count, M, 3), which have the same share
-    of the power. Every force has its own frequencies between the lines that are known: a resonance could fall between
-    the same few lines of all runs.
+    Of each force amplitude, angular frequency [rad/s] and phase of M sines, (count, M, 3), with frequencies of its own:
+    a resonance could fall between the same few lines of all runs.
     """
     size, first = len(own.error_lines), np.arange(len(own.error_lines))
     levels = (first + rng.random((count, size))) / size

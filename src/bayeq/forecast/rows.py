@@ -109,10 +109,7 @@ def normalised_error(run: Floats, samples: Floats) -> float:
 def predicted_target(terms: Sequence[Expression], parameters: Floats, columns: Mapping[str, Floats]) -> Floats:
     """Right-hand side at each row; `parameters` are the coefficients of the terms, the intercept (if any) in front."""
     constant = len(parameters) - len(terms)
-    out = np.full(len(next(iter(columns.values()))), parameters[0] if constant else 0.0)
-    if terms:
-        out += evaluate_terms(terms, columns) @ parameters[constant:]
-    return out
+    return np.asarray(evaluate_terms(terms, columns) @ parameters[constant:] + (parameters[0] if constant else 0.0))
 
 
 def window_of(record: Record, start: int, rows: int | None) -> slice:

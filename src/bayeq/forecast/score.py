@@ -12,19 +12,8 @@ from bayeq.errors import in_digits
 from bayeq.expressions import Expression
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import fitted_start, mean_run, state_range
-from bayeq.forecast.rows import (
-    Courses,
-    Rows,
-    divided,
-    normalised_error,
-    predicted_target,
-    require_time,
-    rows_of,
-    window_of,
-)
-from bayeq.numerics.rk4 import check_interpolation
-from bayeq.records import Record
-from bayeq.states import Motion, Sensors, Smooth, estimate_motion
+from bayeq.forecast.rows import Rows, divided, normalised_error, predicted_target, rows_of
+from bayeq.states import Motion
 from bayeq.states.roles import NEXT
 
 # A free run over fewer rows says nothing.
@@ -140,31 +129,3 @@ def _spread(pieces: Sequence[Rows], name: str) -> float:
     values = np.concatenate([rows.samples[name] for rows in pieces])
     present = values[np.isfinite(values)]
     return float(present.std()) if len(present) else np.nan
-
-
-def score_records(
-    dynamics: Dynamics,
-    records: Sequence[Record],
-    smooth: Smooth,
-    sensors: Sensors,
-    *,
-    share: float,
-    interpolation: Courses,
-    start: int | None = None,
-    rows: int | None = None,
-) -> Scores:
-    """Scores on rows of records; see `bayeq.Equations.score`. Without `start` these are the last ones, a share."""
-    check_interpolation(interpolation)
-    motion = estimate_motion(records, dynamics.roles, smooth, share if start is None else 0.0, sensors)
-    pieces = []
-    for record, whole in zip(records, rows_of(motion, "a free run", interpolation), strict=True):
-        time = require_time(record, "a free run")
-        if start is None:
-            cut = whole.n - max(int(share * whole.n), LEAST_ROWS)
-            # the first row from there on that had not been dropped
-            first = int(np.searchsorted(time, 0.5 * (whole.time[cut - 1] + whole.time[cut]) if cut else time[0]))
-            window = window_of(record, min(first, record.n - LEAST_ROWS), rows)
-        else:
-            window = window_of(record, start, rows)
-        pieces.append(whole.part(slice(whole.nearest(time[window.start]), whole.nearest(time[window.stop - 1]) + 1)))
-    return score_rows(dynamics, dynamics.mean, pieces)

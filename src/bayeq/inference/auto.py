@@ -28,13 +28,10 @@ def spike_slab_auto(gram: GramLike, prior: Prior | None = None, *, tolerance: fl
     """SS-VB and model averaging together, of a standardised Gram, by default with the paper's prior.
 
     From model averaging, which may leave out the `tolerance` of the posterior mass, are `pip`, `support` (the median
-    probability model), `coef` and `covariance` (exact given that model), `averaged`, `noise_variance`. From variational
-    Bayes are, in `details`, `elbo_trace` and `optimum`, the terms at its optimum. If the models listed leave out enough
-    to change probabilities by more than 2 %, collapsed Gibbs sampling, of this seed, gives what averaging would have;
-    `average` is then None and ``details.rhat`` is not.
-
-    Where signs or bounds are known the answer is that of model averaging alone, however much mass the models listed
-    leave out: variational Bayes and the sampler take none. ``details.elbo`` and `optimum` are then None.
+    probability model), `coef` and `covariance` (exact given that model), `averaged`, `noise_variance`; from variational
+    Bayes, in `details`, `elbo_trace` and `optimum`. If the models listed leave out enough to change probabilities by
+    more than 2 %, collapsed Gibbs sampling, of this seed, takes the place of averaging. Where signs or bounds are known
+    the answer is that of model averaging alone.
     """
     bma = spike_slab_bma(gram, prior, tolerance=tolerance)
     if prior is not None and prior.limits is not None:

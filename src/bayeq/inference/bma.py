@@ -19,7 +19,7 @@ from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.slab import exact_posterior
 from bayeq.inference.collapsed.tableau import active_block, move_to, swept
 from bayeq.inference.gram import GramLike
-from bayeq.inference.posterior import Averaged, Constant, Details, ModelAverage, Posterior
+from bayeq.inference.posterior import Averaged, Details, ModelAverage, Posterior, of_standardised
 from bayeq.inference.prior import Prior
 from bayeq.kernels import kernel
 
@@ -50,11 +50,8 @@ MOST_REJECTIONS = 1000
 def _mixture_moments(
     p: Problem, models: Bools, weights: Floats, place: Ints, count: int
 ) -> tuple[Floats, Floats, Floats, float]:
-    """Mean and second moment (P,) of theta, its second moments (Q, Q), and the mean of sigma^2 over weighted models.
-
-    `place` (P,) gives the place of each term among the Q = `count`, -1 where it has none. Each model's moments are
-    entries of the tableau swept on it; the flips lead from one model to the next.
-    """
+    """Mean and second moment (P,) of theta, its second moments (Q, Q), and the mean of sigma^2 over weighted models;
+    `place` (P,) is that of each term among the Q = `count`, or -1."""
     terms = len(p.Dty)
     mean, square, second, noise = np.zeros(terms), np.zeros(terms), np.zeros((count, count)), 0.0
     current = np.zeros(terms, np.bool_)
@@ -126,14 +123,11 @@ def spike_slab_bma(
     """Posterior under spike-and-slab priors, by default the paper's, by averaging over models with their exact weights.
 
     The Gram is standardised. Up to `enumerate_up_to` free terms all models are enumerated; a search may leave out the
-    `tolerance` of the posterior mass. `revise` is given the models found, and returns them with other log posteriors,
-    where more is known of some than the Gram tells.
-
-    `pip`, `averaged_coef` and `averaged_sd` are over all models; `coef` and `covariance` those of the median
-    probability model (Barbieri and Berger 2004), exact given the model. `average` lists the models with their
-    probabilities. Where these leave out more than the tolerance, `pip` is the probability of each term given the others
-    averaged over models, and `converged` is False if the two differ by more than the tolerance; `contradicted` names
-    terms whose known signs or bounds the data contradict.
+    `tolerance` of the posterior mass. `revise` returns the models found with other log posteriors. `coef` and
+    `covariance` are those of the median probability model (Barbieri and Berger 2004), exact given the model; `average`
+    lists the models. Where these leave out more than the tolerance, `pip` is the probability of each term given the
+    others averaged over models, and `converged` is False if the two differ by more than the tolerance; `contradicted`
+    names terms whose known signs or bounds the data contradict.
     """
     prior = prior or Prior()
     problem, limits = Problem.of(gram, prior), prior.limits
@@ -166,25 +160,10 @@ def spike_slab_bma(
         terms=terms,
         covariance=second - np.outer(mean[terms], mean[terms]),
     )
-    return Posterior(
-        names=gram.names,
-        pip=pip,
-        support=support,
-        coef=coef,
-        covariance=conditional,
-        constant=Constant(np.zeros(len(pip))),
-        noise_variance=float(noise),
-        n=round(gram.dof) + 1,
-        details=Details(
-            "bma",
-            found.expanded,
-            converged,
-            problem.slab_variance,
-            contradicted=tuple(gram.names[j] for j in found.contradicted),
-        ),
-        averaged=Averaged(mean, np.sqrt(np.maximum(square - mean * mean, 0.0))),
-        average=listed,
-    )
+    contradicted = tuple(gram.names[j] for j in found.contradicted)
+    details = Details("bma", found.expanded, converged, problem.slab_variance, contradicted=contradicted)
+    averaged = Averaged(mean, np.sqrt(np.maximum(square - mean * mean, 0.0)))
+    return of_standardised(gram, pip, support, coef, conditional, noise, details, averaged, listed)
 
 
 def _draw_given_model(p: Problem, active: Bools, n: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
@@ -220,9 +199,7 @@ def _draw_given_signs(
 def sample_average(
     problem: Problem, average: ModelAverage, n: int, rng: np.random.Generator, limits: Floats | None = None
 ) -> tuple[Floats, Floats, NDArray[np.intp]]:
-    """Independent draws from the mixture: theta (n, P), sigma^2 (n,), and the model (n,) each came from.
-
-    sigma^2 | z, y is inverse-Gamma(h, s/2), theta | sigma^2, z, y Gaussian, eq. (33), on the columns of `problem`.
+    """Independent draws from the mixture: theta (n, P), sigma^2 (n,), and the model (n,) each came from, eq. (33).
 
     InputError: known signs or bounds that hardly any draw of a model has.
     """

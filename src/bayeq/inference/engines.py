@@ -23,30 +23,14 @@ NOTEWORTHY_PIP = 0.01
 
 @dataclass(frozen=True, slots=True)
 class Engine:
-    """A row of the table.
+    """A row of the table."""
 
-    Attributes
-    ----------
-    function : str or callable
-        Module, in this folder, and name of the function, with a colon between them; or the function.
-    title : str
-        What it is, for the reader of its answer.
-    score : str
-        What stands in the column of its `pip`.
-    spike_slab : bool
-        Whether its prior is the spike-and-slab prior, under which models can be compared.
-    random : bool
-        Whether it draws random numbers: it then takes ``seed``.
-    options : mapping
-        Of the function, where they are not its defaults.
-    """
-
-    function: str | Callable[..., Posterior]
-    title: str
-    score: str = "PIP"
-    spike_slab: bool = False
-    random: bool = False
-    options: Mapping[str, Any] = field(default_factory=dict)
+    function: str | Callable[..., Posterior]  # module, in this folder, and name, with a colon between; or the function
+    title: str  # what it is, for the reader of its answer
+    score: str = "PIP"  # what stands in the column of its `pip`
+    spike_slab: bool = False  # whether its prior is the spike-and-slab prior, under which models can be compared
+    random: bool = False  # whether it draws random numbers: it then takes ``seed``
+    options: Mapping[str, Any] = field(default_factory=dict)  # of the function, where they are not its defaults
 
     @property
     def run(self) -> Callable[..., Posterior]:

@@ -32,7 +32,7 @@ from bayeq.inference.collapsed.tableau import (
     swept,
 )
 from bayeq.inference.gram import GramLike
-from bayeq.inference.posterior import Averaged, Constant, Details, Draws, Posterior
+from bayeq.inference.posterior import Averaged, Details, Draws, Posterior, of_standardised
 from bayeq.inference.prior import Prior
 from bayeq.kernels import kernel
 
@@ -90,9 +90,8 @@ def exchange_terms(p: Problem, T: Tableau, active: Bools, rng: np.random.Generat
     """Draw which term replaces a random active one; returns the number of flips.
 
     The model without term i is kept, and the term that completes it is drawn from its conditional among i and all
-    inactive ones. i is drawn uniformly from the active terms, whose number stays the same, so that the step is
-    reversible. It carries a chain between models that differ by a swap of correlated terms, which single flips
-    reach only through a model that hardly ever occurs.
+    inactive ones: reversible, for i is drawn uniformly. It carries a chain between models that differ by a swap of
+    correlated terms.
     """
     terms = len(active)
     candidates = np.flatnonzero(active & np.isfinite(p.log_odds))
@@ -136,9 +135,9 @@ def sample_chain(
 ) -> None:
     """Run one chain from the model `active` (changed in place) and the noise variance `variance`.
 
-    One sample is theta | sigma^2, z, then sigma^2 | z, then z (by a scan of flips, and with `exchange` one step of
-    `exchange_terms` before it); after `burn_in` of them the
-    rows of z (S, P), theta (S, P), noise (S,) and log_posterior (S,) are filled and pip (P,) summed up.
+    One sample is theta | sigma^2, z, then sigma^2 | z, then z (by a scan of flips, and with `exchange` by
+    `exchange_terms` before); after `burn_in` of them the rows of z (S, P), theta (S, P), noise (S,) and log_posterior
+    (S,) are filled and pip (P,) summed up.
     """
     terms = len(active)
     inclusion = np.empty(terms)
@@ -173,11 +172,10 @@ def sample_posterior(
     exchange: bool = True,
     seed: int | Sequence[int] = 0,
 ) -> Draws:
-    """Draws of z, theta and sigma^2 from independent chains.
+    """Draws of z, theta and sigma^2 from independent chains, each of a random stream of its own.
 
     Of each chain's `samples` the first `burn_in` are left out, as in the paper. With `exchange` terms are also
-    exchanged in one step; False is the paper's sampler, which flips one indicator at a time. Each chain draws from a
-    stream of its own, spawned from the seed. InputError: no chains, or no samples after the burn-in.
+    exchanged in one step. InputError: no chains, or no samples after the burn-in.
     """
     if chains < 1 or burn_in < 0 or samples <= burn_in:
         raise InputError(f"need chains >= 1 and samples > burn_in >= 0, got {chains}, {samples}, {burn_in}")
@@ -203,12 +201,11 @@ def sample_posterior(
 
 
 def multivariate_rhat(theta: Floats) -> float:
-    """Multivariate potential scale reduction factor of m >= 2 chains of n samples, (m, n, P).
+    """Multivariate potential scale reduction factor of m >= 2 chains of n samples, (m, n, P); 1 if nothing varies.
 
     The square root of (n-1)/n + (m+1)/m lambda, lambda the largest eigenvalue of W^-1 B/n, with W the mean covariance
-    within the chains and B/n that of their means (Brooks and Gelman 1998, section 4.1; the square root as in R's coda).
-    Coefficients that are zero in every sample are left out, and of more than 200 those that are zero most often. It is
-    1 if nothing varies, inf if a coefficient differs between chains but never within one.
+    within the chains and B/n that of their means (Brooks and Gelman 1998, section 4.1; the square root as in R's coda),
+    of the 200 coefficients at most that are not zero most often.
     """
     m, n, _ = theta.shape
     often = np.count_nonzero(theta, axis=(0, 1))
@@ -251,11 +248,10 @@ def spike_slab_gibbs(
     """Posterior under spike-and-slab priors, by default the paper's, of a standardised Gram, by collapsed Gibbs
     sampling.
 
-    The chains are those of `sample_posterior`; their draws are kept in the answer where wanted. `pip` is
-    Rao-Blackwellised: the mean of p(z_i = 1 | z_-i, y) over the samples. Coefficients and covariance are those of the
-    median probability model, exact given the model; `averaged_coef` and `averaged_sd` are over all samples. `converged`
-    says whether the multivariate R-hat is below 1.1. InputError: options or prior parameters out of range, or known
-    signs.
+    The chains are those of `sample_posterior`. `pip` is Rao-Blackwellised: the mean of p(z_i = 1 | z_-i, y) over the
+    samples. Coefficients and covariance are those of the median probability model, exact given the model; `averaged` is
+    over all samples. `converged` says whether the multivariate R-hat is below 1.1. InputError: options or prior
+    parameters out of range, or known signs.
     """
     prior = prior or Prior()
     prior.refuse_signs("gibbs")
@@ -265,17 +261,8 @@ def spike_slab_gibbs(
     support = pip > 0.5
     coef, covariance = given_model(problem, support)
     rhat = multivariate_rhat(draws.theta)
-    return Posterior(
-        names=gram.names,
-        pip=pip,
-        support=support,
-        coef=coef,
-        covariance=covariance,
-        constant=Constant(np.zeros(len(pip))),
-        noise_variance=float(draws.noise_variance.mean()),
-        n=round(gram.dof) + 1,
-        details=Details("gibbs", samples, rhat < RHAT_LIMIT, problem.slab_variance, rhat=rhat),
-        averaged=Averaged(
-            draws.theta.mean(axis=(0, 1)), draws.theta.std(axis=(0, 1)), draws=draws if keep_draws else None
-        ),
-    )
+    details = Details("gibbs", samples, rhat < RHAT_LIMIT, problem.slab_variance, rhat=rhat)
+    mean, sd = draws.theta.mean(axis=(0, 1)), draws.theta.std(axis=(0, 1))
+    averaged = Averaged(mean, sd, draws=draws if keep_draws else None)
+    noise = draws.noise_variance.mean()
+    return of_standardised(gram, pip, support, coef, covariance, noise, details, averaged)

@@ -356,10 +356,7 @@ def _weighted_moments(D: Floats, Y: Floats, weights: Floats) -> Moments:
 
 
 def from_moments(moments: Moments, names: tuple[str, ...], targets: int) -> tuple[Gram, ...]:
-    """One `Gram` per target from moments of the columns of D and the targets; all share D'D.
-
-    An InputError refuses values that are not finite, or overflow when squared.
-    """
+    """One `Gram` per target from moments of D and the targets; an InputError refuses values that are not finite."""
     squares = np.diagonal(moments.cross)
     if not np.isfinite(squares).all():
         bad = np.flatnonzero(~np.isfinite(squares))
@@ -397,10 +394,9 @@ def _joined(parts: Iterable[Moments], names: tuple[str, ...], targets: int) -> t
 def grams_from_blocks(
     blocks: Iterable[tuple[Floats, Floats]], names: Sequence[str], targets: int = 1
 ) -> tuple[Gram, ...]:
-    """One `Gram` per target from blocks of rows, in one pass; all of them share D'D.
+    """One `Gram` per target from blocks of dictionary rows (m, P) and target rows (m, T), in one pass; all share D'D.
 
-    A block has dictionary rows (m, P) and target rows (m, T). An InputError refuses no rows at all, and values that are
-    not finite (or overflow when squared).
+    An InputError refuses no rows at all, and values that are not finite (or overflow when squared).
     """
     return _joined((_block_moments(D, Y) for D, Y in blocks if len(D)), tuple(names), targets)
 
@@ -431,10 +427,8 @@ def default_names(columns: int) -> tuple[str, ...]:
 
 
 def require_squares(D: Floats, Y: Floats, diagonal: Floats, yty: Floats, names: Sequence[str]) -> None:
-    """Raise an InputError that names the columns of D (n, P) and Y (n, T) whose squares are too small to keep digits.
-
-    Centred sums of squares are `diagonal` (P,) and `yty` (T,).
-    """
+    """Raise an InputError that names the columns of D (n, P) and Y (n, T) whose squares are too small to keep
+    digits, by their centred sums of squares."""
     if min(diagonal.min(initial=np.inf), yty.min(initial=np.inf)) >= LEAST_SQUARES:
         return
     small = [names[int(j)] for j in np.flatnonzero(diagonal < LEAST_SQUARES) if np.ptp(D[:, j]) > 0.0]
@@ -532,10 +526,7 @@ def _lazy_grams(D: Floats, Y: Floats, names: Sequence[str] | None, weights: Arra
 def grams_of(
     D: Floats, Y: Floats, names: Sequence[str] | None = None, weights: ArrayLike | None = None
 ) -> tuple[Gram | LazyGram, ...]:
-    """The statistics of regressions of the columns of Y (n, T) on D (n, P); lazy where D is wide and P large.
-
-    Raises as `Gram.from_data`.
-    """
+    """As `grams_from_data`, of regressions of the columns of Y (n, T) on D (n, P); lazy where D is wide and P large."""
     rows, columns = D.shape
     if columns > rows and columns >= LEAST_COLUMNS:
         return _lazy_grams(D, Y, names, weights)

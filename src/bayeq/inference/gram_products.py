@@ -19,10 +19,7 @@ APART = 8
 
 
 def block_for(columns: int, rows: int) -> Floats:
-    """Room for some columns, a last one of ones, whose products are sums, and zeros up to a multiple of four.
-
-    (C, R), for `add_products`; R is larger than `rows`.
-    """
+    """Room (C, R > `rows`) for `add_products`: some columns, one of ones, zeros up to a multiple of four."""
     block = np.zeros((_padded(columns), rows + APART))
     block[columns] = 1.0
     return block
@@ -98,8 +95,7 @@ def _transpose(part: Floats, shift: Floats, block: Floats) -> None:
 def shifted_products(D: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
     """Shifts (P + T,), and sums (P + T,) and sums of products (P + T, P + T), of the columns of [D y] less these.
 
-    D is (n, P), y is (n, T), of at least one row. The shifts are the means of the first rows, so that hardly any digits
-    are lost; a constant column is exactly zero.
+    The shifts are the means of the first rows of D (n, P) and y (n, T): a constant column is exactly zero.
     """
     n, p = D.shape
     columns = p + y.shape[1]

@@ -13,18 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from bayeq.arrays import Bools, Floats
 from bayeq.errors import InputError
-from bayeq.inference.gram import Standardised
+from bayeq.inference.gram import GramLike, Standardised
 from bayeq.kernels import kernel
 
 # Where fields of version 0.2 stand; their names go in 0.5.
 MOVED = {
-    **{
-        name: f"details.{name}"
-        for name in (
-            *("method", "n_iter", "converged", "slab_variance", "bounds", "contradicted"),
-            *("elbo", "elbo_trace", "optimum", "rhat"),
-        )
-    },
+    **{name: f"details.{name}" for name in ("method", "n_iter", "converged", "slab_variance", "bounds")},
+    **{name: f"details.{name}" for name in ("contradicted", "elbo", "elbo_trace", "optimum", "rhat")},
     "center": "constant.center",
     "target_mean": "constant.mean",
     "target_mean_variance": "constant.variance",
@@ -427,6 +422,33 @@ class Posterior:
         return np.sqrt(spread + self.noise_variance * (1.0 + 1.0 / self.n))
 
 
+def of_standardised(
+    gram: GramLike,
+    pip: Floats,
+    support: Bools,
+    coef: Floats,
+    covariance: Floats,
+    noise_variance: float,
+    details: Details,
+    averaged: Averaged | None = None,
+    average: ModelAverage | None = None,
+) -> Posterior:
+    """The posterior of a standardised regression: means are 0, and the intercept has taken one of its rows."""
+    return Posterior(
+        names=gram.names,
+        pip=pip,
+        support=support,
+        coef=coef,
+        covariance=covariance,
+        constant=Constant(np.zeros(len(pip))),
+        noise_variance=float(noise_variance),
+        n=round(gram.dof) + 1,
+        details=details,
+        averaged=averaged,
+        average=average,
+    )
+
+
 # Probability below a 95 % interval, and above it.
 TAIL = 0.025
 
@@ -436,10 +458,7 @@ REACH = 9.0
 
 @kernel
 def _quantiles(weight: Floats, mean: Floats, sd: Floats, probability: Floats) -> Floats:
-    """Of mixtures of normal distributions, a row (K,) each, by bisection to rounding; NaN where nothing is asked.
-
-    Weights of a row sum to 1. A component of weight 0 is none, one of sd 0 is a point.
-    """
+    """Of mixtures of normal distributions, a row (K,) each, by bisection to rounding; NaN where nothing is asked."""
     out = np.full(len(probability), np.nan)
     for j in range(len(probability)):
         if not 0.0 < probability[j] < 1.0:

@@ -17,10 +17,10 @@ import numpy as np
 
 from bayeq.arrays import Bools, Floats
 from bayeq.errors import whole_number
-from bayeq.inference.collapsed.problem import Columns, Problem, gram_columns
+from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.tableau import LOOK, Tableau, active_block, build, enter, leave, strayed
 from bayeq.inference.gram import GramLike
-from bayeq.inference.posterior import Constant, Details, Posterior
+from bayeq.inference.posterior import Details, Posterior, of_standardised
 from bayeq.inference.prior import Prior
 from bayeq.kernels import kernel
 
@@ -85,20 +85,15 @@ def _shift_ridge(T: Tableau, j: int, delta: float) -> None:
 
 
 @kernel
-def rvm_ascent(
-    columns: Columns, Dty: Floats, yty: float, dof: float, max_iter: int
-) -> tuple[Floats, Tableau, float, int, bool]:
-    """Sequential maximisation of the marginal likelihood.
-
-    Returns gamma (P,), the swept tableau, the noise variance, the steps taken and whether it converged.
-    """
-    p = len(Dty)
-    T = build(columns, Dty, yty, 0.0)
-    lam = np.full(p, math.inf)
+def rvm_ascent(p: Problem, max_iter: int) -> tuple[Floats, Tableau, float, int, bool]:
+    """Sequential maximisation: gamma (P,), the swept tableau, the noise variance, the steps, whether it converged."""
+    terms, yty = len(p.Dty), p.yty
+    T = build(p.columns, p.Dty, yty, 0.0)
+    lam = np.full(terms, math.inf)
     floor = max(1e-14 * yty, 1e-300)
     steps, converged = 0, False
     while steps < max_iter:
-        beta = dof / max(T.diagonal[p], floor)
+        beta = p.dof / max(T.diagonal[terms], floor)
         j, new, _ = _best_action(T, lam, beta)
         if j < 0:
             converged = True
@@ -107,60 +102,45 @@ def rvm_ascent(
         if lam[j] == math.inf:
             if T.size[0] == len(T.rows):
                 break
-            enter(columns, Dty, T, j, new)
+            enter(p.columns, p.Dty, T, j, new)
         elif new == math.inf:
             leave(T, j)
             T.diagonal[j] -= lam[j]
         else:
             _shift_ridge(T, j, new - lam[j])
         lam[j] = new
-        if steps % LOOK == 0 and strayed(columns, Dty, yty, np.where(lam < math.inf, lam, 0.0), floor, T):
-            T = build(columns, Dty, yty, 0.0)
-            for k in range(p):
+        if steps % LOOK == 0 and strayed(p.columns, p.Dty, yty, np.where(lam < math.inf, lam, 0.0), floor, T):
+            T = build(p.columns, p.Dty, yty, 0.0)
+            for k in range(terms):
                 if lam[k] < math.inf:
-                    enter(columns, Dty, T, k, lam[k])
-    gamma = np.zeros(p)
-    for j in range(p):
+                    enter(p.columns, p.Dty, T, k, lam[k])
+    gamma = np.zeros(terms)
+    for j in range(terms):
         if lam[j] < math.inf:
             gamma[j] = min(max(1.0 + lam[j] * T.diagonal[j], 1e-300), 1.0)
-    return gamma, T, max(T.diagonal[p], floor) / dof, steps, converged
+    return gamma, T, max(T.diagonal[terms], floor) / p.dof, steps, converged
 
 
 @kernel
 def rvm_gamma(p: Problem) -> Floats:
     """gamma (P,) of a machine that starts another engine: 0 for a term left out."""
-    return rvm_ascent(p.columns, p.Dty, p.yty, p.dof, 50 * len(p.Dty) + 100)[0]
+    return rvm_ascent(p, 50 * len(p.Dty) + 100)[0]
 
 
 def rvm(gram: GramLike, prior: Prior | None = None, *, least_gamma: float = 0.0, max_iter: int = 10_000) -> Posterior:
-    """Relevance vector machine of a standardised Gram.
+    """Relevance vector machine of a standardised Gram, in at most `max_iter` add, re-estimate and delete steps.
 
     It learns its own prior; one is accepted so that all engines are called alike, and known signs are refused. Terms
-    whose gamma is not above `least_gamma` are taken out after convergence; 0 keeps all that the RVM keeps. `max_iter`
-    limits the number of add, re-estimate and delete steps.
-
-    `pip` holds gamma_i = 1 - alpha_i Sigma_ii, how well the data determine each weight: a measure of relevance, not a
-    probability. The support is what is left in the machine.
+    whose gamma is not above `least_gamma` are taken out after convergence. `pip` holds gamma_i = 1 - alpha_i Sigma_ii,
+    how well the data determine each weight: a measure of relevance, not a probability.
     """
     if prior is not None:
         prior.refuse_signs("rvm")
     whole_number("max_iter", max_iter, 1)
-    gamma, T, noise, steps, converged = rvm_ascent(
-        gram_columns(gram), np.ascontiguousarray(gram.Dty), gram.yty, gram.dof, max_iter
-    )
+    gamma, T, noise, steps, converged = rvm_ascent(Problem.of(gram, Prior()), max_iter)
     support: Bools = gamma > 0.0
     for j in np.flatnonzero(support & (gamma <= least_gamma)):
         leave(T, int(j))
         support[j] = False
-    mu = np.where(support, T.partial, 0.0)
-    return Posterior(
-        names=gram.names,
-        pip=gamma,
-        support=support,
-        coef=mu,
-        covariance=noise * active_block(T, np.flatnonzero(support)),
-        constant=Constant(np.zeros(len(gram.names))),
-        noise_variance=float(noise),
-        n=round(gram.dof) + 1,
-        details=Details("rvm", int(steps), bool(converged)),
-    )
+    coef, covariance = np.where(support, T.partial, 0.0), noise * active_block(T, np.flatnonzero(support))
+    return of_standardised(gram, gamma, support, coef, covariance, noise, Details("rvm", int(steps), bool(converged)))

@@ -115,8 +115,8 @@ def faced(mean: Floats, limits: Floats) -> tuple[Floats, Floats, Floats]:
 class Orthants:
     """The orthants theta > 0 of B problems of k coefficients each, or boxes: points with their weights.
 
-    theta | sigma^2 ~ N(m, sigma^2 V), sigma^2 ~ inverse-Gamma(h, s/2), with m (B, k), V (B, k, k), s (B,), and the same
-    h for all. `log_probability` (B,) is ln P(0 < theta < width), with `width` (B, k) or one for all.
+    theta | sigma^2 ~ N(m, sigma^2 V), sigma^2 ~ inverse-Gamma(h, s/2), with m (B, k), V (B, k, k), s (B,);
+    `log_probability` (B,) is ln P(0 < theta < width).
     """
 
     def __init__(self, m: Floats, V: Floats, s: Floats, h: float, width: Floats | float = math.inf) -> None:
@@ -200,10 +200,9 @@ def truncated(m: Floats, V: Floats, limits: Floats, s: float, h: float) -> tuple
 def carried(
     m: Floats, V: Floats, among: NDArray[np.intp], mean: Floats, covariance: Floats, variance: float
 ) -> tuple[Floats, Floats]:
-    """Moments of all r coefficients from those of the k truncated ones, at the places `among`.
+    """Moments of all r coefficients from those of the k truncated ones, at the places `among`, and the mean of sigma^2.
 
-    Without truncation theta | sigma^2 ~ N(m, sigma^2 V). Given the truncated ones, of mean (k,) and covariance (k, k),
-    and sigma^2, of mean `variance`, the others are Gaussian as ever, with means linear in these.
+    Given these the others are Gaussian as ever, with means linear in them: theta | sigma^2 ~ N(m, sigma^2 V).
     """
     slope = V[:, among] @ np.linalg.pinv(V[np.ix_(among, among)], hermitian=True)
     slope[among] = np.eye(len(among))
@@ -224,8 +223,8 @@ STARTS = 100
 
 @kernel
 def _blocks(p: Problem, known: Bools, models: Bools, most: int) -> tuple[Ints, Floats, Floats, Floats, Floats]:
-    """Of each model: its constrained terms (K, Q), -1 where there are fewer, with the mean (K, Q) and covariance over
-    sigma^2 (K, Q, Q) of their coefficients; s; and the score. Q = `most`."""
+    """Of each model its constrained terms (K, `most`), or -1; their means, and covariances over sigma^2; s; the
+    score."""
     count = len(models)
     terms = np.full((count, most), -1)
     mean, spread = np.zeros((count, most)), np.zeros((count, most, most))
@@ -269,7 +268,7 @@ class Truncation:
         active = self.terms >= 0
         self.turn, self.end, self._width = faced(mean, np.where(active[:, :, None], limits[self.terms], [0.0, np.inf]))
         self._mean, self._V = self.turn * (mean - self.end), self.turn[:, :, None] * self.turn[:, None, :] * V
-        self.scores += _gain(p, limits, models)
+        self.scores += models @ _gains(p, limits)
         sd = np.sqrt(np.diagonal(self._V, axis1=1, axis2=2) * (self._s / (2.0 * p.h))[:, None])
         t = np.where(active, self._mean / np.where(active, sd, 1.0), math.inf)
         self.wrong, right = np.asarray(stdtr(2.0 * p.h, -t)), stdtr(2.0 * p.h, t)
@@ -297,17 +296,10 @@ class Truncation:
 
 
 def _gains(p: Problem, limits: Floats) -> Floats:
-    """-ln of the share of each slab within its limits, (P,), for a noise of variance 1."""
+    """What the slab of each term gains by its limits, (P,): -ln of its share within, for a noise of variance 1."""
     low, high = limits.T / math.sqrt(p.slab_variance)
     shares, _ = _between(low, high, np.zeros(len(limits)))
     return np.where(signs_of(limits) != 0, math.log(2.0), np.where(limited(limits), -shares, 0.0))
-
-
-def _gain(p: Problem, limits: Floats, models: Bools) -> Floats:
-    """What the slabs of all constrained terms of each of K models gain, (K,)."""
-    half = signs_of(limits) != 0
-    gain = math.log(2.0) * np.count_nonzero(models[:, half], axis=1)
-    return gain if (half == limited(limits)).all() else gain + models @ np.where(half, 0.0, _gains(p, limits))
 
 
 def _most(limits: Floats, models: Bools) -> int:
@@ -324,11 +316,8 @@ def _parts(limits: Floats, models: Bools) -> Iterator[slice]:
 def signed_scores(
     p: Problem, limits: Floats, models: Bools, window: float = math.inf, top: float = -math.inf
 ) -> tuple[Floats, Floats]:
-    """Log posteriors of K models, up to `search.log_constant`, without the probability of right signs and with it.
-
-    Of a model that does not come within `window` nats of the best of them, or of `top`, the second is a bound from
-    above.
-    """
+    """Log posteriors of K models, up to `search.log_constant`, without the probability of right signs and with it: a
+    bound from above where it is not within `window` nats of the best, or of `top`."""
     without, value = np.empty(len(models)), np.empty(len(models))
     for part in _parts(limits, models):
         found = Truncation(p, limits, models[part])
@@ -374,10 +363,8 @@ def _carried(
 def list_signed(p: Problem, limits: Floats, tolerance: float, enumerate_up_to: int) -> ModelSet:
     """Models that hold all but `tolerance` of the posterior mass, and whether the data contradict the signs.
 
-    First the models that are likely whatever the signs are listed, a constrained term with the odds of a half normal
-    slab on either side, one with bounds with those of the truncated slab. The weight of a model with the signs is at
-    most this one, which bounds what is left out. They are the answer if the signs are right in at least half of their
-    mass, otherwise a start of the search.
+    First models are listed with the slab's share of its limits for their probability, which bounds what is left out.
+    They are the answer if the signs are right in at least half of their mass, otherwise a start of the search.
     """
     either = p._replace(log_odds=p.log_odds + _gains(p, limits))
     # half of the mass at least is kept, so that what is left out may have twice its share
@@ -390,7 +377,7 @@ def list_signed(p: Problem, limits: Floats, tolerance: float, enumerate_up_to: i
         return ModelSet(found.models[order], value[order], left, found.expanded)
     listed = _search(p, limits, either, [*found.models[order[:STARTS]], *_starts(either, limits)], tolerance)
     # where its sign is not known a constrained term has the odds of any other
-    free = without - _gain(p, limits, found.models)
+    free = without - found.models @ _gains(p, limits)
     if logsumexp(free) - logsumexp(listed.log_posterior) < INFERENCE.signs_contradicted:
         return listed
     truncation, wrong = Truncation(p, limits, found.models[:STARTS]), np.zeros(len(limits))

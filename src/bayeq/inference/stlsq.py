@@ -90,14 +90,6 @@ def _threshold(K: Floats, c: Floats, threshold: float, ridge: float, max_iter: i
     return -max_iter
 
 
-@kernel
-def _threshold_path(K: Floats, c: Floats, thresholds: Floats, ridge: float, max_iter: int) -> Floats:
-    out = np.empty((len(thresholds), len(c)))
-    for k in range(len(thresholds)):
-        _threshold(K, c, thresholds[k], ridge, max_iter, out[k])
-    return out
-
-
 def _moments(gram: GramLike, centred: bool) -> tuple[Floats, Floats]:
     """D'D and D'y, about the means or about zero."""
     K, c = np.ascontiguousarray(dense(gram)), np.ascontiguousarray(gram.Dty)
@@ -121,10 +113,7 @@ def stlsq(
 
     Terms with a smaller coefficient are dropped, in at most `max_iter` regressions. The ridge is added to the diagonal
     of D'D (PySINDy's alpha). `centred` estimates an intercept; otherwise the regression is on the raw columns as
-    PySINDy does. A prior is not used, and accepted so that all engines are called alike.
-
-    `pip` is 1 for a term that is in and 0 for one that is out: STLSQ has no probabilities. The covariance is that of
-    least squares on the chosen terms.
+    PySINDy does. A prior is not used. `pip` is 1 for a term that is in; the covariance is that of least squares.
     """
     del prior
     whole_number("max_iter", max_iter, 1)
@@ -149,9 +138,8 @@ def sweep_stlsq(
     """STLSQ at the threshold with the least error on held-out rows, in the units of the Gram.
 
     `held_out` are other rows in the same units; without them the Bayesian information criterion decides. Thresholds, by
-    default 60, logarithmically from the least to the largest coefficient of all terms together, are compared with the
-    coefficients of standardised or raw columns, of which the ridge is, too. `max_iter` limits the regressions per
-    threshold. A prior is not used, and accepted so that all engines are called alike.
+    default 60 from the least to the largest coefficient of all terms together, are compared with coefficients of
+    standardised or raw columns, as the ridge is. `max_iter` limits the regressions per threshold.
     """
     if prior is not None:
         prior.refuse_signs("stlsq")
@@ -168,7 +156,9 @@ def sweep_stlsq(
         least_squares(K, c, np.ones(len(c), dtype=np.bool_), ridge, full)
         sizes = np.abs(full[full != 0.0])
         thresholds = np.geomspace(sizes.min(), sizes.max(), SWEEP) if len(sizes) else np.zeros(1)
-    path = _threshold_path(K, c, np.asarray(thresholds, dtype=np.float64), ridge, max_iter)
+    path = np.empty((len(thresholds), len(c)))
+    for threshold, coef in zip(np.asarray(thresholds, dtype=np.float64), path, strict=True):
+        _threshold(K, c, threshold, ridge, max_iter, coef)
     errors = [_score(gram, K, c, held_out, theta) for theta in path]
     best = path[int(np.argmin(errors))]
     return _posterior(gram, K, c, best, ridge, True, len(path))
@@ -205,22 +195,19 @@ def _posterior(
     yty = gram.yty if centred else gram.yty + n * target_mean**2
     variance = _residual_sum(yty, K, c, coef) / max(gram.dof - len(kept), 1.0)
     information = K[np.ix_(kept, kept)] + ridge * np.eye(len(kept))
+    # of unit diagonal on the way; directions that rounding decides have no variance
+    scale = 1.0 / np.sqrt(np.diagonal(information))
+    unit = np.outer(scale, scale)
+    inverse = np.linalg.pinv(information * unit, rcond=len(kept) * np.finfo(np.float64).eps, hermitian=True) * unit
     return Posterior(
         names=gram.names,
         pip=support.astype(np.float64),
         support=support,
         coef=coef.copy(),
-        covariance=variance * _inverse(information),
+        covariance=variance * inverse,
         # a centre of zero and no mean of the target: no intercept
         constant=Constant(mean, target_mean) if centred else Constant(np.zeros(len(coef))),
         noise_variance=variance,
         n=n,
         details=Details("stlsq", abs(steps), steps > 0),
     )
-
-
-def _inverse(matrix: Floats) -> Floats:
-    """Inverse of a positive matrix, scaled to unit diagonal on the way; of directions that rounding decides, none."""
-    scale = 1.0 / np.sqrt(np.diagonal(matrix))
-    unit = np.outer(scale, scale)
-    return np.linalg.pinv(matrix * unit, rcond=len(scale) * np.finfo(np.float64).eps, hermitian=True) * unit

@@ -21,7 +21,7 @@ from bayeq.inference.collapsed.problem import Problem, fetch
 from bayeq.inference.collapsed.search import RVM_START_TERMS, candidate_models, default_starts, greedy_model, neighbours
 from bayeq.inference.collapsed.tableau import GAIN_TOLERANCE, expit
 from bayeq.inference.gram import GramLike
-from bayeq.inference.posterior import Constant, Details, Posterior
+from bayeq.inference.posterior import Details, Posterior, of_standardised
 from bayeq.inference.prior import Prior
 from bayeq.inference.rvm import rvm_gamma
 from bayeq.kernels import kernel
@@ -117,8 +117,7 @@ def _digamma(x: float) -> float:
 def _inclusion_rate(p: Problem, w: Floats, log_odds: Floats) -> float:
     """q(p_0) = Beta(a + sum w, b + sum(1 - w)) over the free terms: writes E ln p_0 - E ln(1-p_0) of each.
 
-    Returns what p(z | p_0) p(p_0) adds to the ELBO then: ln B(a', b') - ln B(a, b). At binary w this is the
-    beta-binomial prior itself.
+    Returns what p(z | p_0) p(p_0) adds to the ELBO then: ln B(a', b') - ln B(a, b).
     """
     a, b = p.inclusion_beta[0], p.inclusion_beta[1]
     new_a, new_b = a, b
@@ -170,10 +169,9 @@ def _update_indicators(
 
 @kernel
 def vb_ascent(p: Problem, w: Floats, tau: float, tolerance: float, max_iter: int) -> Ascent:
-    """Coordinate ascent from inclusion probabilities `w` (changed in place) and noise precision `tau`.
+    """Coordinate ascent from inclusion probabilities `w` (changed in place) and noise precision `tau`, 0 for the best.
 
-    tau <= 0 asks for the precision that is optimal for `w`. Returns mu (P,), Sigma of the active terms, their
-    indices, a, b and the ELBO trace; the trace is empty if D'D is not positive semi-definite.
+    Returns mu (P,), Sigma of the active terms, their indices, a, b and the ELBO trace, empty if D'D is indefinite.
     """
     terms = len(w)
     shape = p.noise_shape + 0.5 * p.dof + 0.5 * terms
@@ -288,12 +286,11 @@ def spike_slab_vb(
 ) -> Posterior:
     """Variational posterior under spike-and-slab priors, by default the paper's, of a standardised Gram.
 
-    VB can only prune (a term with w = 0 never returns) and keeps false terms of a correlated dictionary, so its optimum
-    is the optimum of its start, `init`. "rvm" starts from the RVM's gamma as the paper does; "search" (default) from
-    several points, the RVM and the best models of a search on the collapsed tableau, and keeps the highest ELBO;
-    "greedy" from the one model that adding and dropping single terms leads to; an array (P,) gives w itself. With
-    "search", `models` (P,) are those to start from, and those near them, instead of the RVM and the empty model. An
-    ascent stops when the ELBO rises by less than the tolerance, eq. (27), or after `max_iter` sweeps.
+    VB can only prune and keeps false terms of a correlated dictionary, so its optimum is that of its start, `init`.
+    "rvm" starts from the RVM's gamma as the paper does; "search" from the RVM and the best models of a search on the
+    collapsed tableau, or from `models` (P,) and those near them, and keeps the highest ELBO; "greedy" from the one
+    model that adding and dropping single terms leads to; an array (P,) gives w itself. An ascent stops when the ELBO
+    rises by less than the tolerance, eq. (27), or after `max_iter` sweeps.
 
     Of the posterior `pip` holds w, `elbo` the bound (28) with its misprint corrected. InputError: options or prior
     parameters out of range, or known signs.
@@ -322,14 +319,6 @@ def spike_slab_vb(
     kept = np.flatnonzero(best_w[index] > 0.5)
     support = np.zeros(len(best_w), dtype=np.bool_)
     support[index[kept]] = True
-    return Posterior(
-        names=gram.names,
-        pip=best_w,
-        support=support,
-        coef=np.where(support, mu, 0.0),
-        covariance=sigma[kept[:, None], kept],
-        constant=Constant(np.zeros(len(best_w))),
-        noise_variance=float(rate / shape),
-        n=round(gram.dof) + 1,
-        details=Details("vb", len(trace), len(trace) < max_iter, problem.slab_variance, elbo_trace=trace),
-    )
+    coef, covariance = np.where(support, mu, 0.0), sigma[kept[:, None], kept]
+    details = Details("vb", len(trace), len(trace) < max_iter, problem.slab_variance, elbo_trace=trace)
+    return of_standardised(gram, best_w, support, coef, covariance, rate / shape, details)

@@ -138,9 +138,6 @@ def _even_pieces(values: Floats, time: Floats | None, step: float | None, even: 
     return out
 
 
-# --- spectra ---------------------------------------------------------------------------------------------------------
-
-
 def spectrum(pieces: Sequence[Floats], step: float) -> Spectrum | None:
     """Spectrum of stretches of one channel at even steps of time [s], without NaN; None of short or constant ones."""
     longest = max((len(piece) for piece in pieces), default=0)
@@ -178,8 +175,6 @@ def spectrum(pieces: Sequence[Floats], step: float) -> Spectrum | None:
 def bars(found: Spectrum, plain: bool = False) -> str:
     """The octaves as bars, the lowest first; digits 1 to 8 where blocks cannot be written.
 
-    Examples
-    --------
     >>> wave = np.sin(2 * np.pi * 5 * np.arange(1000) / 100)
     >>> bars(spectrum([wave], 0.01)), bars(spectrum([wave], 0.01), plain=True)
     ('▁▁▁▁█▁▁▁', '11118111')

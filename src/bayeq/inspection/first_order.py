@@ -33,7 +33,10 @@ def of_first_order(guess: Guess, clues: Mapping[str, Clue], record: Record) -> G
     by_force = any(clues[name].by_unit for name in guess.inputs)
     if (guess.chains or by_force) if speed is None else len(guess.chains) > 1:
         return guess
-    bare = _without_prefix([*guess.undecided, *guess.inputs])
+    # without what stands before the last underscore in all: u and i of meas_u and meas_i
+    names = [*guess.undecided, *guess.inputs]
+    shared = len(names) > 1 and len({name.rpartition("_")[0] for name in names}) == 1
+    bare = {name: name.rpartition("_")[2] if shared else name for name in names}
     alike = [
         name
         for name in bare
@@ -78,17 +81,9 @@ def _questions(states: Sequence[str], applied: Sequence[str], unknown: Sequence[
     return out
 
 
-def _without_prefix(names: Sequence[str]) -> dict[str, str]:
-    """Names without what stands before the last underscore in all: u and i of meas_u and meas_i."""
-    shared = len(names) > 1 and len({name.rpartition("_")[0] for name in names}) == 1
-    return {name: name.rpartition("_")[2] if shared else name for name in names}
-
-
 def one_way(values: Floats) -> bool:
     """Whether a speed goes on in one direction nearly always.
 
-    Examples
-    --------
     >>> t = np.linspace(0.0, 3.0, 200)
     >>> one_way(1.0 - np.exp(-t)), one_way(np.exp(-5.0 * t)), one_way(np.exp(-t) * np.cos(9.0 * t))
     (True, False, False)
@@ -100,8 +95,6 @@ def one_way(values: Floats) -> bool:
 def only_decays(values: Floats) -> bool:
     """Whether a channel falls to zero, or part of the way, without turning back.
 
-    Examples
-    --------
     >>> t = np.linspace(0.0, 3.0, 200)
     >>> only_decays(np.exp(-t)), only_decays(-np.exp(-t)), only_decays(np.exp(-t) * np.cos(9.0 * t))
     (True, True, False)

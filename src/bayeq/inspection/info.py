@@ -28,8 +28,8 @@ from bayeq.inspection.links import (
 )
 from bayeq.inspection.roles import INPUT, REFERENCE, Guess, clues_of, guess_roles, names_level
 from bayeq.inspection.rows import Experiments, find_bad, gaps_of, sort_rows, starts_from_rest
-from bayeq.records import Record, as_record, check_record, read, without_copies
-from bayeq.records.findings import Finding
+from bayeq.records import Record, as_record, check_record, read
+from bayeq.records.findings import Finding, without_copies
 from bayeq.records.formats.nested import SHORT
 from bayeq.records.names import is_time_name, time_unit
 from bayeq.records.record import with_only
@@ -326,31 +326,26 @@ def _on_time(found: RecordInfo) -> Iterator[str]:
         yield "steps of time are uneven: spectra are those of samples interpolated between them"
     if found.gaps:
         longest = max(found.gaps, key=lambda gap: gap.seconds)
-        count = len(found.gaps)
-        what = "1 gap" if count == 1 else f"{count} gaps, the longest"
-        yield (
-            f"time: {what} of {longest.seconds:.4g} s after row {longest.row}; discover divides the record at long gaps"
-        )
+        gaps = "1 gap" if len(found.gaps) == 1 else f"{len(found.gaps)} gaps, the longest"
+        where = f"{gaps} of {longest.seconds:.4g} s after row {longest.row}"
+        yield f"time: {where}; discover divides the record at long gaps"
 
 
-def _on_experiments(found: RecordInfo) -> list[str]:
+def _on_experiments(found: RecordInfo) -> Iterator[str]:
     one = found.experiments
     count = len(one.records)
     if count == 1:
-        return [f"{one.column} numbers the experiments: there is one"] if one.column else _on_parts(found)
+        yield from [f"{one.column} numbers the experiments: there is one"] if one.column else _on_parts(found)
+        return
     least, most = min(record.n for record in one.records), max(record.n for record in one.records)
     rows = f"{least} row{'s' * (least != 1)} each" if least == most else f"{least} to {most} rows each"
-    _, copies = without_copies(one.records, one.records[0].names)
-    if one.column is not None:
-        return [f"{count} experiments, {rows}, numbered by {one.column}", *copies]
     first = 1 + one.records[0].n
-    return [
-        f"{count} experiments, {rows}: time starts over, first in row {first}; number them in a column (--group)",
-        *copies,
-    ]
+    how = f": time starts over, first in row {first}; number them in a column (--group)"
+    yield f"{count} experiments, {rows}" + (how if one.column is None else f", numbered by {one.column}")
+    yield from without_copies(one.records, one.records[0].names)[1]
 
 
-def _on_parts(found: RecordInfo) -> list[str]:
+def _on_parts(found: RecordInfo) -> Iterator[str]:
     """Whether what looks like one experiment may be several: time jumps, or the motion begins again from rest."""
     record = found.experiments.records[0]
     names = [name for chain in found.guess.chains if len(chain) == 3 for name in chain if name is not None]
@@ -358,9 +353,9 @@ def _on_parts(found: RecordInfo) -> list[str]:
     again = starts_from_rest(record, [*names, *found.guess.inputs], 1.0 / min(peaks)) if peaks else []
     jumps = [gap.row + 1 for gap in found.gaps if gap.long]
     how, rows = ("time jumps before", jumps) if jumps else ("the motion begins again from rest at about", again)
-    if not rows:
-        return []
-    return [f"{how} row{'s' * (len(rows) > 1)} {_listed(rows)}: perhaps {len(rows) + 1} experiments (--rows, --group)"]
+    if rows:
+        listed = f"row{'s' * (len(rows) > 1)} {_listed(rows)}"
+        yield f"{how} {listed}: perhaps {len(rows) + 1} experiments (--rows, --group)"
 
 
 def _on_channels(found: RecordInfo) -> Iterator[str]:
@@ -389,10 +384,8 @@ def _listed(rows: Sequence[int]) -> str:
 def _on_bad_samples(found: RecordInfo) -> Iterator[str]:
     for name, kinds in found.bad.items():
         for kind, rows in kinds.items():
-            what = {"spikes": "spike" if len(rows) == 1 else "spikes", "stuck": "stuck samples"}
-            yield (
-                f"{name}: {len(rows)} {what.get(kind, 'clipped samples')}, row{'s' * (len(rows) > 1)}"
-                f" {_listed(rows)}; discover leaves them out; {ADVICE[kind]}"
-            )
+            what = {"spikes": "spike" if len(rows) == 1 else "spikes"}.get(kind, f"{kind} samples")
+            where = f"row{'s' * (len(rows) > 1)} {_listed(rows)}"
+            yield f"{name}: {len(rows)} {what}, {where}; discover leaves them out; {ADVICE[kind]}"
     if 0 < found.looked_at < found.rows:
         yield f"spikes and stuck samples were looked for in the most suspect {found.looked_at} of {found.rows} rows"

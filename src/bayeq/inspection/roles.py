@@ -147,8 +147,6 @@ def clues_of(units: Mapping[str, str]) -> dict[str, Clue]:
     What all names begin with is left out where it says nothing, as rig of rig_x and rig_F, or is a letter before names
     of other kinds. Names of a recorder's inputs, Voltage_0 and Voltage_1, say nothing at all.
 
-    Examples
-    --------
     >>> {name: clue.order for name, clue in clues_of({"rig_x": "", "rig_F": ""}).items()}
     {'rig_x': 0, 'rig_F': -1}
     >>> [clue.order for clue in clues_of({"A_x": "", "A_F": ""}).values()]
@@ -171,8 +169,6 @@ def clues_of(units: Mapping[str, str]) -> dict[str, Clue]:
 def clue_of(name: str, unit: str) -> Clue:
     """Read a channel's unit and name.
 
-    Examples
-    --------
     >>> clue_of("ch2", "m/s^2").order, clue_of("acc_left", "").order, clue_of("Motorspannung", "V").order
     (2, 2, -1)
     >>> clue_of("Weg_Soll", "mm").order, clue_of("x2", "").index, clue_of("ch1", "").order

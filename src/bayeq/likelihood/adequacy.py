@@ -14,9 +14,8 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bayeq.arrays import Floats
+from bayeq.arrays import Floats, Ints
 from bayeq.likelihood.channels import Suspect, suspects_of
 from bayeq.likelihood.filter import run_filter
 from bayeq.likelihood.fit import State, Statistics, adjoints, maximised, of_inputs, solved
@@ -149,8 +148,7 @@ def adequacy_of(task: Task, fitted: Fitted) -> Adequacy:
 def changes_of(task: Task, state: State, here: Statistics, power: float) -> tuple[Change, ...]:
     """Score tests of coefficients that change along a straight line over each record, one at a time (Nyblom 1989).
 
-    The score of a sample by the change of a coefficient is that by the coefficient, times the place of the sample in
-    the record, -1 to 1: innovations forget the coefficients of long ago.
+    The score of a sample by the change is that by the coefficient, times its place in the record, -1 to 1.
     """
     r, rows = len(state.theta), 0
     if not r:
@@ -235,10 +233,7 @@ def _innovations(
 
 
 def without_drift(levels: Levels, interval: float, frequency: float) -> float:
-    """The least share of a channel's power from a frequency [Hz] on, were its drift, or an input's, not there.
-
-    The spectrum of a drift is a convenience: a real one may be slower.
-    """
+    """The least share of a channel's power from a frequency [Hz] on without drifts, which may be slower in truth."""
     if not levels.layout.drift:
         return 1.0
     drift = 0.5 * levels.drifts * levels.layout.drift / (1.0 - math.cos(2.0 * math.pi * frequency * interval))
@@ -246,10 +241,11 @@ def without_drift(levels: Levels, interval: float, frequency: float) -> float:
 
 
 def gain_of(task: Task, state: State, c: int) -> float:
-    """ln ratio of the likelihoods, given the inputs, with the discrepancy of equation c and without.
+    """ln ratio of the likelihoods, given the inputs, with the discrepancy of equation c and without, other levels
+    learned again.
 
-    Other levels are learned again without. The samples of an input tell its noise by the model of its course, which is
-    a convenience: any noise is plausible up to the power of the input in the octave in which it has least.
+    The samples of an input tell its noise by the model of its course, which is a convenience: any noise is plausible up
+    to the power of the input in the octave in which it has least.
     """
     linears = task.linearised(state)
     held = np.zeros(len(state.levels.free), dtype=np.bool_)
@@ -321,8 +317,7 @@ def _length(task: Task, state: State, c: int) -> float:
 def turn_of(pulls: Sequence[Floats]) -> float:
     """Angle that the score of a discrepancy turns through from the least memory to the most.
 
-    The score is the sum over frequencies of the power of `pulls`, (n,) each, what the likelihood of an equation without
-    discrepancy gains by a force at each sample, times the spectrum of the discrepancy.
+    `pulls`, (n,) each, are what the likelihood of an equation without one gains by a force at each sample.
     """
     weights, angles = [], []
     for values in pulls:
@@ -345,10 +340,9 @@ def octaves_of(
     without: Set[tuple[float, float]] = frozenset(),
     least: Callable[[float], float] = lambda _: 1.0,
 ) -> list[Octave]:
-    """Tests of the octaves of what should be white noise, consecutive samples (n,) of a channel, an interval [s] apart.
+    """Tests of the octaves of what should be white noise: consecutive samples (n,) of a channel, an interval [s] apart.
 
-    Octaves `without` are left out, as if there were none: in a target those in which the course of an input is not that
-    of low-passed noise. From a frequency [Hz] on there may be a share `least` of what is expected.
+    Octaves `without` are left out. From a frequency [Hz] on there may be a share `least` of what is expected.
     """
     power, below = _spectrum(pieces)
     highest, out = 0.5 / interval, []
@@ -369,7 +363,7 @@ def octaves_of(
     return out
 
 
-def _spectrum(pieces: Sequence[Floats]) -> tuple[Floats, NDArray[np.int64]]:
+def _spectrum(pieces: Sequence[Floats]) -> tuple[Floats, Ints]:
     """Powers of all bins between 0 and half the sampling rate, and how many octaves below that each lies."""
     power, below = [np.zeros(0)], [np.zeros(0, dtype=np.int64)]
     for values in pieces:

@@ -38,10 +38,7 @@ class Adjoint(NamedTuple):
 
 
 class _Returning(NamedTuple):
-    """Where the adjoint recursion stands, and its work space.
-
-    The coefficients' columns are in units of their uncertainty: derivatives by uncorrelated numbers of variance 1.
-    """
+    """Where the adjoint recursion stands, and its work space; coefficients are in units of their uncertainty."""
 
     # (2, S, W), as in `_Running`: adjoints of the data, at the coefficients' mean, and of each coefficient; their
     # information N
@@ -162,10 +159,7 @@ def _by_information(work: Floats, now: int, start: int, lines: Floats, source: i
 def _curve_between(
     A: Floats, P: Floats, k: int, work: Floats, now: int, start: int, discrete: bool, lines: Floats
 ) -> None:
-    """Puts (1 + A) P N w, w in ``lines[1]``, into ``lines[2]``: -2 times the direction `Adjoint.between`.
-
-    Terms of a map count where a step starts, not in its middle: 2 P N w.
-    """
+    """Puts (1 + A) P N w, of maps 2 P N w, into ``lines[2]``, w in ``lines[1]``: -2 times `Adjoint.between`."""
     size = work.shape[1]
     _by_information(work, now, start, lines, 1, 2)
     for i in range(size):
@@ -208,14 +202,8 @@ def _backward(
     linear: Linear, noise: Noise, found: Filtered, first: int, stop: int, at: _Returning, out: Adjoint
 ) -> None:
     """Samples from the one before `stop` back to `first`."""
-    path, transition, gradient, kinds, leads, forces = (
-        linear.path,
-        linear.transition,
-        linear.gradient,
-        linear.kinds,
-        linear.leads,
-        linear.discrepancy,
-    )
+    path, transition, gradient = linear.path, linear.transition, linear.gradient
+    kinds, leads, forces = linear.kinds, linear.leads, linear.discrepancy
     memory, added = noise.memory, noise.channels
     variance, gain, covariance = found.variance, found.gain, found.covariance
     work, step, lines, innovation, lasting, mean = at
@@ -291,9 +279,8 @@ def adjoint(
 ) -> Adjoint:
     """The adjoint recursion of a record that `run_filter` filtered with `keep`.
 
-    Coefficients deviate by `delta`, (r,), with covariance V, (r, r): derivatives are those of the likelihood marginal
-    over them. Without V those by the noise are left out, and 0. `curved` asks for `at_samples` and `between`,
-    `smoothed` for `covariance`.
+    Coefficients deviate by `delta`, (r,), and are integrated out with covariance V, (r, r); without V derivatives by
+    the noise are 0. `curved` asks for `at_samples` and `between`, `smoothed` for `covariance`.
     """
     (n, size), r = linear.path.shape, len(delta)
     chains, root = len(linear.discrepancy), np.zeros((r, 0)) if V is None else root_of(V)

@@ -64,10 +64,7 @@ class Block:
 
 
 def block_of(task: Task, state: State, pieces: Sequence[MotionRows]) -> Block:
-    """The likelihood of smoothed rows given coefficients, levels and prior of a fit, about the likeliest path there.
-
-    The fit is to other rows of the same system.
-    """
+    """The likelihood of smoothed rows about the likeliest path there, given a fit to other rows of the same system."""
     power, segments = _power(task, pieces)
     size, r = len(task.precision), len(state.theta)
     nothing = Block(
@@ -188,21 +185,12 @@ def curvature(task: Task, state: State) -> Curvature:
         moves = np.array([value - values[0] for value in values[1:]]).reshape(len(values) - 1, len(values[0]))
         return np.asarray(moves.T / (STEP * count))
 
-    spreads = by_levels(found[2], 1.0)
-    return Curvature(
-        moving,
-        turning,
-        by_levels(found[0], task.rows),
-        by_levels(found[1], task.rows)[moving],
-        np.abs(spreads).max(axis=0, initial=0.0),
-    )
+    slopes, scores = by_levels(found[0], task.rows), by_levels(found[1], task.rows)[moving]
+    return Curvature(moving, turning, slopes, scores, np.abs(by_levels(found[2], 1.0)).max(axis=0, initial=0.0))
 
 
 def _slopes(task: Task, state: State) -> tuple[Floats, Floats, Floats]:
-    """Slopes of the log likelihood by all candidates and by levels; log standard deviations of the coefficients.
-
-    Record by record, which takes little memory.
-    """
+    """Slopes of the log likelihood, record by record, by all candidates and by levels; log sds of the coefficients."""
     theta, included = coefficients(task.layout, state), task.number(state.chosen)
     by_candidates, by_levels = np.zeros(len(theta)), np.zeros(len(state.levels.free))
     H = np.diag(task.precision[included])
@@ -222,8 +210,7 @@ def _slopes(task: Task, state: State) -> tuple[Floats, Floats, Floats]:
 def relearned(task: Task, state: State, block: Block, curve: Curvature) -> tuple[Task, State, Quadratic, float]:
     """Corners from the spectra of all rows; levels by a Newton step on their likelihood, coefficients solved along.
 
-    The block is of all rows, about the task's fit; the curvature of those that were fitted. Also the likelihood of all
-    candidates there, and how far the logarithm of a noise level, a corner or a standard deviation has moved, at most.
+    Also the likelihood of all candidates there, and how far the logarithm of a level or deviation has moved, at most.
     """
     layout, levels, theta = task.layout, state.levels, coefficients(task.layout, state)
     spectra = [of_segments(power, block.segments, SEGMENT) for power in block.power]

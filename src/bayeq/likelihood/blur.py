@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.arrays import Bools, Floats
+from bayeq.arrays import Bools, Floats, Ints
 from bayeq.expressions import Call, Evaluator, Expression
 from bayeq.likelihood.layout import NOTHING, Candidates, Layout, Series
 from bayeq.likelihood.signs import SLOPE, half_of_jump, middle_of_jump, unresolved_share
@@ -39,10 +39,9 @@ class Hold(NamedTuple):
     wide: float  # a width over which the jump is not seen
 
     def projectors(self, push: Floats) -> tuple[Floats, Floats]:
-        """What the force that holds the argument leaves of changes of the states, and what it changes them by.
+        """What the force that holds the argument (Filippov 1988) leaves of changes of the states, and what it adds.
 
-        (k, motion, motion) and (k, motion); `push` (k, motion, C) is what a constant force of 1 in each equation does
-        in the interval. The force is the one that makes the argument zero at the end (Filippov 1988, sliding motion).
+        (k, motion, motion) and (k, motion); by `push` (k, motion, C) a force of 1 changes the states in an interval.
         """
         push = np.einsum("knc,kc->kn", push, self.half)
         push = push / np.einsum("kn,kn->k", self.gradient, push)[:, None]
@@ -75,8 +74,6 @@ def _columns(layout: Layout, series: Series, path: Floats) -> dict[str, Floats]:
 def crossings(layout: Layout, series: Series, path: Floats, wanted: Bools) -> Bools:
     """Intervals between samples in which the wanted jumps happen, (n - 1, J)."""
     out = np.zeros((len(path) - 1, len(layout.jumps)), dtype=np.bool_)
-    if not wanted.any():
-        return out
     evaluate = Evaluator(_columns(layout, series, path))
     for j in np.flatnonzero(wanted):
         jump = layout.jumps[j]
@@ -102,12 +99,11 @@ def blur_of(
     push: Floats,
     chosen: Candidates,
     theta: Floats,
-    substeps: NDArray[np.int64],
+    substeps: Ints,
 ) -> Blur:
     """Widths along smoothed states, a path (n, S) with covariance (n, S, S), of the model `chosen`, `theta`.
 
-    `push`, (n - 1, S, C), is what a constant force of 1 in each equation changes the states by in a step; `substeps`,
-    (n - 1,), are the steps of the integration in each interval.
+    `push`, (n - 1, S, C), is what a force of 1 in each equation does to the states in a step of `substeps`, (n - 1,).
     """
     n, columns = len(path), _columns(layout, series, path)
     if layout.implicit:

@@ -37,10 +37,6 @@ SUSPECTED, AS_SAID = 8.0, 1e-3
 CONTRADICTED = 4.0
 
 
-# No coefficient.
-NONE = np.zeros(0)
-
-
 class Calibration(NamedTuple):
     """What is known of the factors of some channels."""
 
@@ -50,10 +46,7 @@ class Calibration(NamedTuple):
 
 
 def calibration_of(task: Task, state: State, power: float = 1.0) -> Calibration:
-    """The factors of channels about a fit, those that were taken out of the samples included.
-
-    The likelihood is raised to `power`.
-    """
+    """Factors of channels about a fit, what was taken out included; the likelihood is raised to `power`."""
     uncertain = task.layout.uncertain
     if not uncertain:
         return Calibration({}, np.zeros((0, 0)), 0.0)
@@ -85,10 +78,7 @@ class Suspect(NamedTuple):
 
 
 def suspects_of(task: Task, state: State, here: Statistics) -> tuple[Suspect, ...]:
-    """Channels that the others contradict, one at a time, by score tests, or that what was said of them contradicts.
-
-    Nothing tells the factor of an input; the offset of the lowest channel of a chain may be a term.
-    """
+    """Channels that the others contradict, one at a time, by score tests, or that what was said of them contradicts."""
     layout, compared = task.layout, set(task.layout.roles.compared)
     lowest = {next(filter(None, chain.measured), None) for chain in layout.roles.chains}
     open_to: dict[Off, set[str]] = {"factor": compared, "lag": compared.union(layout.roles.inputs)}
@@ -153,7 +143,8 @@ def _directions(task: Task, state: State, here: Statistics, sought: Sequence[tup
                 seen = -spline_slopes(time, seen[:, None])[:, 0]
             samples[:, i] += 1.0 if off == "offset" else seen
             square[k] += float(np.nansum(samples[:, i] ** 2))
-            changes[..., k] = run_filter(at_rest._replace(residual=samples), NOTHING, still).standardised(NONE)[0]
+            changed = run_filter(at_rest._replace(residual=samples), NOTHING, still)
+            changes[..., k] = changed.standardised(np.zeros(0))[0]
         pieces.append((left, columns, changes))
     left, columns, changes = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
     alone = changes - columns @ (here.covariance @ np.einsum("tmr,tmi->ri", columns, changes))
@@ -174,10 +165,7 @@ REACH, EACH_WAY, ROWS = 3.0, 50, 4000
 
 
 def first_lags(motion: Motion, terms: Sequence[Expression]) -> Mapping[str, Lag]:
-    """Lags of inputs by which all terms together explain most of the smoothed rows; 0 of other channels.
-
-    From there the likelihood finds the lags of inputs too whose course over a sample is no straight line.
-    """
+    """Lags of inputs by which all terms together explain most of the smoothed rows; 0 of other channels."""
     rows, out = max(motion.train, key=lambda one: one.n), dict(motion.sensors.lags)
     rows = rows.part(slice(0, ROWS))
     assert rows.time is not None
@@ -202,11 +190,7 @@ def first_lags(motion: Motion, terms: Sequence[Expression]) -> Mapping[str, Lag]
 
 
 def lags_of(task: Task, state: State, power: float = 1.0) -> Mapping[str, Lag]:
-    """The lags of channels about a fit, what was taken out of the samples included.
-
-    Every record has its own, with the same prior; they are averaged by their information. The likelihood is raised to
-    `power`.
-    """
+    """Lags of channels about a fit, what was taken out included, averaged over records; `power` as for factors."""
     found, out = task.marginal(state), {}
     for (channel, lag), s in zip(task.layout.late, task.layout.lags, strict=True):
         known, weights, total = lag.prior_sd**-2.0, 0.0, 0.0

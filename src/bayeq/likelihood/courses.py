@@ -21,10 +21,9 @@ from bayeq.states import Motion
 def with_other_inputs(motion: Motion, task: Task, best: Fitted) -> tuple[Task, Fitted]:
     """The fit, or one with other courses of inputs between samples where the motion is then clearly likelier.
 
-    What the likelihood hardly tells stays as the samples of the input themselves have it: smooth, if they are. Another
-    course moves coefficients by more than noise does; `Task.between` is the spread over courses. Where channels may be
-    late, or lag behind by a law, terms and constants make up for a wrong course (an input that is held is half a sample
-    late), so that each is compared with those that suit it.
+    Another course moves coefficients by more than noise does: `Task.between` is the spread over courses. Where channels
+    may be late, or lag behind by a law, terms and constants make up for a wrong course, so that each is compared with
+    those that suit it.
     """
     lagging = task.layout.late or bool(task.layout.roles.hidden)
     for k in range(len(task.layout.roles.inputs)):
@@ -59,10 +58,7 @@ def with_other_inputs(motion: Motion, task: Task, best: Fitted) -> tuple[Task, F
 
 
 def spread_over(tried: Sequence[tuple[Task, Fitted]], taken: Course, k: int) -> Floats:
-    """Second moments of coefficients about those of the course taken, over courses of input k, (C (P + 1),) squared.
-
-    The first of the fits, all of one model, has the course of the samples themselves, which is likelier before.
-    """
+    """Second moments of coefficients about those of the course taken, over courses of input k, (C (P + 1),) squared."""
     kinds: dict[Course, tuple[float, Floats]] = {}
     for i, (task, fitted) in enumerate(tried):
         theta = np.zeros(len(task.precision))
@@ -98,6 +94,5 @@ def noisier(task: Task, state: State, k: int) -> State:
     levels, i = state.levels, task.layout.first_input + k
     if not levels.learned[i]:
         return state
-    return replace(
-        state, levels=levels.with_noise(i, max(levels.channels[i], LIKELIHOOD.input_noise * levels.scales.channels[i]))
-    )
+    variance = max(levels.channels[i], LIKELIHOOD.input_noise * levels.scales.channels[i])
+    return replace(state, levels=levels.with_noise(i, variance))

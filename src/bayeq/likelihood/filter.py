@@ -52,10 +52,8 @@ class Filtered(NamedTuple):
     log_variance: float  # sum of ln 2 pi S
 
     def standardised(self, delta: Floats) -> tuple[Floats, Floats]:
-        """Innovations (n, M), coefficients `delta` from those of the filter, and their derivatives by these (n, M, r).
-
-        Both in standard deviations of the innovations; 0 where there is no sample.
-        """
+        """Innovations (n, M), coefficients `delta` from those of the filter, and their derivatives by these (n, M, r),
+        in standard deviations; 0 where there is no sample."""
         known = self.variance > 0.0
         sd = np.sqrt(np.where(known, self.variance, 1.0))[..., None]
         standard = np.where(known[..., None], self.innovation / sd, 0.0)
@@ -100,10 +98,8 @@ def rows_together(channels: int, r: int) -> int:
 def multiply(
     A: Floats, k: int, memory: Floats, back: bool, related: Ints, step: Floats, work: Floats, now: int
 ) -> None:
-    """B times the rows of ``work[now]``, into the other ones; B = diag(memory) A[k], or its transpose, into `step`.
-
-    Most of B is 0: `step` holds, as `related` lists them, the diagonal and what may be other than 0 beside it.
-    """
+    """B times the rows of ``work[now]``, into the other ones; B = diag(memory) A[k], or its transpose, into `step`: the
+    diagonal, and what may be other than 0 beside it, as `related` lists it."""
     size, width = work.shape[1:]
     then = 1 - now
     for i in range(size):
@@ -272,10 +268,9 @@ def _forward(
 
 
 def run_filter(linear: Linear, chosen: Candidates, noise: Noise, keep: bool = True) -> Filtered:
-    """Filter a record with the columns of the chosen candidates beside the data.
+    """A record filtered with the columns of the chosen candidates beside the data.
 
-    `keep` asks for what `adjoint` needs; without, there are no rows but in the sums, and memory does not grow with the
-    record.
+    `keep` asks for what `adjoint` needs; without, there are no rows but in the sums.
     """
     (n, size), channels, r = linear.path.shape, len(linear.kinds), len(chosen.chain)
     rows = n if keep else 0

@@ -6,9 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bayeq.arrays import Floats
+from bayeq.arrays import Bools, Floats
 from bayeq.likelihood.adjoint import Adjoint, adjoint
 from bayeq.likelihood.blur import Blur, blur_of, first_blur
 from bayeq.likelihood.filter import Filtered, run_filter
@@ -77,8 +76,7 @@ class Quadratic:
     information: Floats
 
     def __add__(self, other: Quadratic) -> Quadratic:
-        parts = (self.level + other.level, self.slope + other.slope, self.information + other.information)
-        return Quadratic(*parts)
+        return Quadratic(self.level + other.level, self.slope + other.slope, self.information + other.information)
 
     def raised(self, power: float) -> Quadratic:
         """The quadratic of the likelihood to a power."""
@@ -97,7 +95,6 @@ class Statistics:
 
 
 def linearised(layout: Layout, series: Sequence[Series], state: State, substeps: int = 1) -> list[Linear]:
-    """Every record linearised where a fit stands."""
     blurs = state.blurs or (None,) * len(series)
     return [
         linearise(layout, one, path, state.chosen, state.theta, blur, substeps)
@@ -187,11 +184,7 @@ def of_inputs(linears: Sequence[Linear], levels: Levels) -> float:
 
 
 def log_mean(log_of: Callable[[float], float], low: float, high: float, peak: float) -> tuple[float, float]:
-    """ln of the mean of a positive function between two numbers, and where it was largest, given the place of a peak.
-
-    By the trapezoidal rule, intervals halved beside the largest value until it changes by less than `size_step` there.
-    From the peak outwards: below it no further than to where the function is level, above it to where it is nothing.
-    """
+    """ln of the mean of a positive function between two numbers, and where it is largest, given about a peak."""
     peak = min(max(peak, low), high)
     grid = np.linspace(low, high, LIKELIHOOD.discrepancy_sizes).tolist()
     at, logs = [peak], [log_of(peak)]
@@ -222,7 +215,6 @@ def adjoints(
     curved: bool = False,
     smoothed: bool = False,
 ) -> list[Adjoint]:
-    """The adjoint of every record."""
     return [
         adjoint(linear, levels.noise, filtered, delta, covariance, curved, smoothed)
         for linear, filtered in zip(linears, found.filtered, strict=True)
@@ -233,15 +225,15 @@ def maximised(
     linears: Sequence[Linear],
     state: State,
     precision: Floats,
-    held: NDArray[np.bool_] | None = None,
+    held: Bools | None = None,
     steps: int = 30,
     tolerance: float = 1e-3,
     steepest: float = 0.03,
 ) -> tuple[Levels, Statistics]:
     """Levels that maximise the marginal likelihood of a linearised model; those `held`, or known, stay.
 
-    The search moves each number in units of the standard deviation that it would have if nothing else were unknown,
-    until a step gains no more than `tolerance` nats, or the slope by every such unit is at most `steepest`.
+    The search ends where a step gains no more than `tolerance` nats, or the slope by each level, in units of its
+    standard deviation if nothing else were unknown, is at most `steepest`.
     """
     levels = state.levels
     low, high = levels.bounds

@@ -20,6 +20,7 @@ from bayeq.expressions.nodes import replaced
 from bayeq.inference.collapsed.slab import likeliest_by_rows
 from bayeq.inference.gram import Gram
 from bayeq.likelihood.fit import State
+from bayeq.numerics.distributions import correlation
 from bayeq.states import Chain, Motion, Roles
 from bayeq.states.motion import with_columns, with_hidden
 
@@ -45,10 +46,8 @@ FASTEST, SLOWEST = 0.5, 2.0
 def with_first_laws(motion: Motion, roles: Roles, terms: Sequence[Expression], allowed: Bools) -> list[Motion]:
     """The motion with hidden states, and values of the constants of their laws, one for each start of a search.
 
-    Of values on a grid those are taken whose hidden states let the candidates of the other equations, together, explain
-    most of the smoothed rows. The motion is without the hidden states, the roles are with them, the P terms with their
-    laws; `allowed`, (C, P), says which of these each equation may have. An InputError refuses a constant whose range
-    has to be written, and laws that are finite for no values of their constants.
+    The motion is without the hidden states, the roles are with them; `allowed`, (C, P), says which terms each equation
+    may have. An InputError refuses a constant whose range has to be written, and laws that are finite for no values.
     """
     constants = _ranges(roles, motion)
     nodes = min(NODES, max(3, int(GRID ** (1.0 / max(len(constants), 1)))))
@@ -82,10 +81,8 @@ def _at_peaks(
     nodes: Sequence[int],
     inner: Sequence[str] = (),
 ) -> list[Motion]:
-    """The motion with hidden states at the likeliest values of some constants, on a grid and about its nodes.
-
-    None at the ends of the constants `inner`: where there are no others in the middle. Empty where no values do.
-    """
+    """The motion with hidden states at the likeliest values of some constants, on a grid and about its nodes: none at
+    the ends of the constants `inner`. Empty where no values do."""
 
     def values(at: Sequence[float]) -> dict[str, Unknown]:
         return {one.name: replace(one, value=to_plain(one, x)) for one, x in zip(constants, at, strict=True)}
@@ -108,10 +105,7 @@ def _at_peaks(
 def _peaks(
     score: Callable[[Sequence[float]], float], places: Sequence[Floats], inner: Bools
 ) -> list[tuple[float, ...]]:
-    """Where a score is highest on a grid, within the nodes about its peaks, the highest first.
-
-    At the ends of the axes `inner`, (n,) bool, there are none, and where there are no others the middle of the grid is.
-    """
+    """Where a score is highest on a grid, within nodes about its peaks, none at the ends of axes `inner`, (n,)."""
     from scipy.ndimage import maximum_filter
     from scipy.optimize import minimize
 
@@ -198,7 +192,7 @@ def with_first_paths(motion: Motion, roles: Roles, terms: Sequence[Expression], 
     """The motion with first paths of a hidden state whose law is to be found, one for each start of a search.
 
     Paths are what a regression of the equation that the state is a factor in leaves, and a share of its spring, if it
-    has one: the state may be one, too. A state in differences alone begins with springs and a damper.
+    has one. A state in differences alone begins with springs and a damper.
     """
     (chain,) = roles.hidden
     seen = seen_in(chain, roles, terms, allowed)
@@ -247,10 +241,8 @@ def _on_springs(motion: Motion, roles: Roles, terms: Sequence[Expression], allow
 def _rest(
     motion: Motion, terms: Sequence[Expression], allowed: Bools, c: int
 ) -> tuple[list[Floats], list[Floats] | None]:
-    """What a regression of the smoothed rows of an equation leaves in each record, by terms without the hidden state.
-
-    Also the part of the coordinate, or of an input of a static law, in what it explains.
-    """
+    """What a regression of the smoothed rows of an equation leaves in each record, by terms without the hidden state;
+    also the part of the coordinate, or of an input of a static law, in what it explains."""
     roles = motion.roles
     seen, hidden = roles.chains[c], set(roles.chains[-1].names)
     others = [term for term, mine in zip(terms, allowed[c], strict=True) if mine and not term.names & hidden]
@@ -276,11 +268,7 @@ def _rest(
 def _as_factor(
     motion: Motion, terms: Sequence[Expression], allowed: Bools, seen: Seen, rest: Sequence[Floats]
 ) -> Motion:
-    """The motion with the path of a state that is a factor of a term, from what others leave of its target.
-
-    Rates are those by the likeliest candidates for its changes over the time in which it forgets, for rates of what is
-    left are mostly noise.
-    """
+    """The motion with the path of a state that is a factor of a term, from what others leave of its target."""
     from scipy.ndimage import gaussian_filter1d
 
     (chain,), paths = motion.roles.hidden, []
@@ -322,9 +310,9 @@ def _rates(motion: Motion, terms: Sequence[Expression], paths: Sequence[Mapping[
 
 def _forgotten(path: Floats) -> int:
     """After how many samples a path's correlation is half of that of the next one, which noise has no part in."""
-    spectrum = np.abs(np.fft.rfft(path - path.mean(), 2 * len(path))) ** 2
-    correlation = np.fft.irfft(spectrum)[1 : max(2, len(path) // 2)]
-    return 1 + int(np.argmax(correlation < 0.5 * correlation[0]))
+    centred = [path - path.mean()]
+    found = correlation(centred, centred)[1 : max(2, len(path) // 2)]
+    return 1 + int(np.argmax(found < 0.5 * found[0]))
 
 
 def with_found_laws(motion: Motion, terms: Sequence[Expression]) -> Motion:
@@ -333,10 +321,7 @@ def with_found_laws(motion: Motion, terms: Sequence[Expression]) -> Motion:
 
 
 def with_laws_of(motion: Motion, terms: Sequence[Expression], state: State) -> Motion:
-    """The motion with its hidden states integrated as a fit has it, by the terms that were found or as it was stated.
-
-    A law that was found and that blows up from rest is not integrated: where it starts is what the record tells.
-    """
+    """The motion with its hidden states integrated as a fit has it, unless a found law blows up from rest."""
     chains = list(motion.roles.chains)
     for c, chain in enumerate(chains):
         if chain.hidden and not chain.stated:
@@ -395,10 +380,8 @@ def _ranges(roles: Roles, motion: Motion) -> list[Unknown]:
 
 
 def _relaxations(name: str, law: Expression, constant: Unknown, motion: Motion) -> tuple[float, float] | None:
-    """Values for which a law relaxes, at the slowest over the record and at the fastest between two samples.
-
-    None where that does not follow: the law is not linear in its state, or its rate is no power of the constant.
-    """
+    """Values for which a law relaxes, at the slowest over the record and at the fastest between two samples; None where
+    the law is not linear in its state, or its rate is no power of the constant."""
     others = {other.name: replace(other, value=middle(other)) for other in law.unknowns.values() if other != constant}
     columns: dict[str, Floats] = {key: np.full(1, values.mean()) for key, values in motion.train[0].columns.items()}
 

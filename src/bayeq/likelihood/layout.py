@@ -15,12 +15,11 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.arrays import Floats, Ints
+from bayeq.arrays import Bools, Floats, Ints
 from bayeq.expressions import Binary, Call, Evaluator, Expression, Node, Number, Symbol, Tape, number
 from bayeq.expressions.functions import TIME
 from bayeq.expressions.implicit import solved
 from bayeq.expressions.nodes import jumps_of, replaced
-from bayeq.likelihood.low_pass import feedback
 from bayeq.likelihood.signs import mean_of_jumps
 from bayeq.states import Gain, Lag, Roles, rates
 
@@ -157,15 +156,6 @@ class Layout:
         """The highest derivative of each input, (L,)."""
         return self.driven + self.widths - 1
 
-    def feedback(self, k: int, intervals: Floats) -> Floats:
-        """Factors of the states of input k that give the mean of its highest derivative after a sample.
-
-        A random sequence goes straight back to its mean until the next sample.
-        """
-        if self.smoothness[k] == 0:
-            return np.column_stack([-1.0 / intervals, np.zeros(len(intervals))])
-        return feedback(int(self.widths[k]), self.corners[k], intervals)
-
     @cached_property
     def given(self) -> tuple[str, ...]:
         """Variables of terms that are no states: t where it is used."""
@@ -184,7 +174,7 @@ class Layout:
         """Names of the inputs that hold the width of each jump (`bayeq.likelihood.blur`)."""
         return tuple(f"w[{j}]" for j in range(len(self.jumps)))
 
-    def jumps_in(self, chosen: Candidates) -> NDArray[np.bool_]:
+    def jumps_in(self, chosen: Candidates) -> Bools:
         """Which of the jumps occur in the given candidates, (J,)."""
         own = {jump for j in chosen.term if j < len(self.terms) for jump in jumps_of(self.terms[j].tree)}
         return np.array([jump in own for jump in self.jumps], dtype=np.bool_)
@@ -263,16 +253,11 @@ class Layout:
         free, inverted = self.solved(chosen, terms)
         values = {f"theta[{j}]": value for j, value in enumerate(theta.tolist())}
         evaluate = Evaluator({**columns, **values})
-        shared = [[evaluate(Expression(node)) for node in row] for row in inverted]
-        return np.stack([evaluate(Expression(node)) for node in free], axis=1), np.moveaxis(
-            np.array(shared), 2, 0
-        ).copy()
+        shared = np.array([[evaluate(Expression(node)) for node in row] for row in inverted])
+        return np.stack([evaluate(Expression(node)) for node in free], axis=1), np.moveaxis(shared, 2, 0).copy()
 
     def tape(self, chosen: Candidates) -> Tape:
-        """Rates of the states (of maps next values), targets, chosen terms, in states, t, widths and coefficients.
-
-        Of implicit equations the targets without discrepancies and (I - A)^-1 follow.
-        """
+        """Rates of states (of maps next values), targets and terms; if implicit bare targets and (I - A)^-1 too."""
         parameters = [f"theta[{j}]" for j in range(len(chosen.chain))]
         targets: list[Node] = [Symbol(f"d[{c}]") for c in range(self.chains)]
         terms: list[Node] = [self.blurred[j].tree if j < len(self.terms) else number(1) for j in chosen.term]
@@ -299,7 +284,7 @@ class Layout:
         )
 
     @cached_property
-    def rising(self) -> NDArray[np.bool_]:
+    def rising(self) -> Bools:
         """Whether the rate of a state is the next one, of those that are no derivatives of chains, (S,)."""
         out = np.zeros(self.size, dtype=np.bool_)
         for first, slope in zip(self.driven, self.slope, strict=True):

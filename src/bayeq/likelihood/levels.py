@@ -8,9 +8,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bayeq.arrays import Floats
+from bayeq.arrays import Bools, Floats
 from bayeq.likelihood.adjoint import Adjoint
 from bayeq.likelihood.filter import Noise
 from bayeq.likelihood.layout import Layout
@@ -65,7 +64,7 @@ class Levels:
     # (F, F), how the likelihood curves downwards in `free`, as the search that led here has found it, in the units of
     # that search
     hessian: Floats | None = None
-    held: NDArray[np.bool_] | None = None  # (M,), channels whose noise is known: it stays as it is
+    held: Bools | None = None  # (M,), channels whose noise is known: it stays as it is
 
     @cached_property
     def noise(self) -> Noise:
@@ -106,16 +105,14 @@ class Levels:
         return np.sqrt(np.where(self.stated, self.sizes[0], self.discrepancy) / self.target)
 
     @property
-    def stated(self) -> NDArray[np.bool_]:
+    def stated(self) -> Bools:
         """Equations that are stated laws, (C,): they have no discrepancy."""
         return np.array([chain.hidden for chain in self.layout.roles.chains], dtype=np.bool_)
 
     @property
     def longest(self) -> Floats:
-        """Longest memory of each discrepancy, (C,); the own time is a coordinate's spread over that of its rate.
-
-        That of a static law is the shortest of the inputs and of other chains.
-        """
+        """Longest memory of each discrepancy, (C,), by the own time of its chain, a coordinate's spread over that of
+        its rate; of a static law the shortest of the inputs and of other chains."""
         layout, times = self.layout, []
         for c, chain in enumerate(layout.roles.chains):
             if chain.static:
@@ -145,22 +142,18 @@ class Levels:
         return LIKELIHOOD.least_discrepancy * self.target, MOST_POSSIBLE * self.target
 
     @property
-    def learned(self) -> NDArray[np.bool_]:
+    def learned(self) -> Bools:
         """Channels whose noise is not known, (M,)."""
         return np.ones(len(self.channels), dtype=np.bool_) if self.held is None else ~self.held
 
     @property
-    def known(self) -> NDArray[np.bool_]:
+    def known(self) -> Bools:
         """Which of `free` are known and stay, (F,)."""
-        parts: dict[str, NDArray[np.bool_]] = {
-            "channels": ~self.learned,
-            "discrepancy": self.stated,
-            "memory": self.stated,
-        }
+        parts: dict[str, Bools] = {"channels": ~self.learned, "discrepancy": self.stated, "memory": self.stated}
         return np.concatenate([parts.get(name, np.zeros(len(getattr(self, name)), dtype=np.bool_)) for name in PARTS])
 
     @property
-    def optional(self) -> NDArray[np.bool_]:
+    def optional(self) -> Bools:
         """Which of `free` may vanish, where the likelihood is flat in them: discrepancies, courses, drifts; (F,)."""
         return np.concatenate([np.full(len(getattr(self, name)), name not in ("channels", "slope")) for name in PARTS])
 

@@ -8,10 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.arrays import Floats, Ints
+from bayeq.arrays import Bools, Floats, Ints
 from bayeq.dictionary import evaluate_terms
 from bayeq.likelihood.blur import Blur, Hold, crossings, first_blur
 from bayeq.likelihood.layout import Candidates, Layout, Series
+from bayeq.likelihood.low_pass import feedback
 from bayeq.likelihood.steps import Steps, add_derivatives, arrays, integrate
 from bayeq.numerics.settings import LIKELIHOOD
 from bayeq.numerics.spline import spline_slopes
@@ -70,8 +71,7 @@ def linearise(
 ) -> Linear:
     """The model of a record about a path, (n, S), and the coefficients `theta`, (r,), of the chosen candidates.
 
-    The widths of jumps, `blur`, are by default those between samples. `substeps` are Runge-Kutta steps between two
-    samples; more, `jump_steps`, where a term of the model jumps.
+    `blur` are the widths of jumps, by default those between samples; `substeps` Runge-Kutta steps between two samples.
     """
     n, size, chains = len(path), layout.size, layout.chains
     blur = first_blur(layout, series, path, substeps) if blur is None else blur
@@ -223,7 +223,7 @@ def sources_of(linear: Linear, chosen: Candidates, first: int, stop: int) -> Flo
     return out
 
 
-def _others(related: NDArray[np.bool_]) -> Ints:
+def _others(related: Bools) -> Ints:
     """In each row the number of entries off the diagonal, then their columns."""
     out = np.zeros(related.shape, dtype=np.int64)
     for i, row in enumerate(related):
@@ -237,7 +237,9 @@ def _to_mean(layout: Layout, intervals: Floats, end: Floats, transition: Floats)
     """Puts the mean of the highest derivative of each input after the next sample into `end` and `transition`."""
     for k, (first, slope, centre) in enumerate(zip(layout.driven, layout.slope, layout.centres, strict=True)):
         states = slice(first, slope + 1)
-        factors = layout.feedback(k, intervals)
+        factors = np.column_stack([-1.0 / intervals, np.zeros(len(intervals))])  # a random sequence goes straight back
+        if layout.smoothness[k]:
+            factors = feedback(int(layout.widths[k]), layout.corners[k], intervals)
         deviation = end[:, states].copy()
         deviation[:, 0] -= centre
         end[:, slope] = np.einsum("nj,nj->n", factors, deviation)
@@ -247,8 +249,8 @@ def _to_mean(layout: Layout, intervals: Floats, end: Floats, transition: Floats)
 def terms_along(
     layout: Layout, path: Floats, inputs: Floats, chosen: Candidates, theta: Floats
 ) -> tuple[Floats, Floats]:
-    """Candidates and the constant at the states of a path, (n, P + 1), what is given (n, m, 4) with widths of jumps;
-    (I - A)^-1, (n, C, C), of implicit equations, of others empty."""
+    """Candidates and the constant at the states of a path, (n, P + 1), what is given (n, m, 4) with widths of jumps; (I
+    - A)^-1, (n, C, C), of implicit equations."""
     columns = dict(zip(layout.names, np.asfortranarray(path).T, strict=True))
     columns |= dict(zip((*layout.given, *layout.jump_widths), inputs[:, :, 0].T, strict=True))
     coupling = np.zeros((0, layout.chains, layout.chains))

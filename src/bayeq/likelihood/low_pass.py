@@ -29,10 +29,8 @@ POWER, HIGHEST = 0.9, 0.1
 
 
 def feedback(order: int, corner: float, intervals: Floats) -> Floats:
-    """Factors (n, p) of the states at the ends of steps that give the mean of the highest derivative after each.
-
-    There are p = `order` states, the corner is in rad/s, intervals, (n,), are in seconds.
-    """
+    """Factors (n, `order`) of the states at the ends of steps that give the mean of the highest derivative after each;
+    the corner is in rad/s, intervals, (n,), are in seconds."""
     different, which = np.unique(intervals, return_inverse=True)
     rows = np.linalg.solve(_free(order).T, _rows(order, corner * different).T).T
     return np.asarray(rows * different[:, None] ** np.arange(1.0 - order, 1.0))[which]
@@ -58,10 +56,8 @@ def _rows(order: int, corners: Floats) -> Floats:
 
 
 def step_variance(order: int, corner: float, interval: float, level: float) -> float:
-    """Variance of the random steps of the highest derivative, given the spectrum's level at zero.
-
-    The level is that of the periodogram, whose mean over all frequencies is the variance.
-    """
+    """Variance of the random steps of the highest derivative, given the spectrum's level at zero: that of the
+    periodogram, whose mean over all frequencies is the variance."""
     transition = _free(order)
     transition[-1] = _rows(order, np.array([corner * interval]))[0]
     gain = float(np.linalg.solve(np.eye(order) - transition, np.eye(order)[-1])[0])
@@ -108,10 +104,8 @@ def periodograms(values: Floats, length: int) -> tuple[Floats, int]:
 
 
 def spectrum_of(found: Spectrum, order: int, interval: float, variance: float) -> tuple[float, float, float]:
-    """Corner [rad/s], level at zero, and noise of samples, at the maximum of Whittle's likelihood (Whittle 1953).
-
-    The spectrum and the variance are those of samples, `interval` [s] apart, of a process of some order.
-    """
+    """Corner [rad/s], level at zero, and noise of samples, `interval` [s] apart, of a process of some order, at the
+    maximum of Whittle's likelihood (Whittle 1953)."""
     w, P, count = found
     if not float(count @ P) > 0.0:
         return math.pi / interval, variance, NOISES[0] * variance

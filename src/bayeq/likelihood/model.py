@@ -10,9 +10,8 @@ from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bayeq.arrays import Bools, Floats
+from bayeq.arrays import Bools, Floats, Ints
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.slab import exact_posterior
 from bayeq.inference.gram import Gram
@@ -121,7 +120,7 @@ class Task:
             return self.counted
         return float(sum(np.isfinite(one.samples).sum() for one in self.series))
 
-    def number(self, chosen: Candidates) -> NDArray[np.int64]:
+    def number(self, chosen: Candidates) -> Ints:
         """Indices of coefficients among those of all equations."""
         return chosen.chain * (len(self.layout.terms) + 1) + chosen.term
 
@@ -259,11 +258,9 @@ def fit(task: Task, state: State, coarse: bool = False, calm: int = 0) -> Fitted
 
 
 def over_all_sizes(task: Task, fitted: Fitted, beside: Fitted | None = None) -> Fitted:
-    """The fit, or a likelier one, with its evidence averaged over the sizes of its discrepancies.
+    """The fit, or a likelier one from other sizes of its discrepancies, its evidence averaged over these sizes.
 
-    It starts once more from the likeliest size of each discrepancy if the average finds a likelier one: about a
-    discrepancy of nearly zero the likelihood is flat, and a search stays there. Equations with the same terms in a fit
-    `beside` take its averages.
+    Equations with the same terms in a fit `beside` take its averages.
     """
     averages = np.full(task.layout.chains, np.nan)
     if beside is not None and beside.averages is not None:
@@ -280,10 +277,8 @@ def over_all_sizes(task: Task, fitted: Fitted, beside: Fitted | None = None) -> 
 def _over_sizes(task: Task, fitted: Fitted, former: Floats) -> tuple[Floats, State | None]:
     """ln of the likelihood averaged over sizes of each discrepancy, less that of the likeliest; a likelier state.
 
-    The standard deviation of each discrepancy has a flat prior on a logarithmic scale between the bounds of `Levels`. A
-    model that needs no discrepancy is as likely at any small one, and one that needs it at its size only. The
-    discrepancies are integrated one by one, about the likeliest sizes; those known from a `former` fit, (C,), not
-    again, those that are NaN there.
+    The prior is flat in the logarithm of each size: a model that needs no discrepancy is as likely at any small one.
+    Those known from a `former` fit, (C,), are not averaged again.
     """
     state, levels = fitted.state, fitted.state.levels
     bounds = np.log(levels.sizes)
@@ -329,10 +324,7 @@ def calmed(state: State) -> State:
 
 
 def from_all_levels(task: Task, state: State, beside: Fitted | None = None) -> Fitted:
-    """The likelier fit of a model of those that start from the levels as they are, and from less discrepancy.
-
-    Levels of another model may keep a discrepancy that nothing needs any more. `beside` as in `over_all_sizes`.
-    """
+    """The likelier fit of a model, of those from the levels as they are and from less discrepancy, over all sizes."""
     first = fit(task, state)
     if (state.levels.kappa >= NOTICED).any():
         much = bool((state.levels.kappa > LIKELIHOOD.explains_much).any())

@@ -15,6 +15,7 @@ import numpy as np
 
 from bayeq.arrays import Floats
 from bayeq.likelihood.fit import solved
+from bayeq.numerics.distributions import correlation, memory_of
 from bayeq.numerics.settings import LIKELIHOOD
 
 # A batch has this many rows at least; from fewer batches no variance is estimated.
@@ -53,9 +54,8 @@ def leftover(
 ) -> Leftover:
     """Sums over batches, which do not cross records.
 
-    Columns, (n, r) each, are the terms along the smoothed path of each record, the constant among them if it is in the
-    equation; discrepancies, (n,) each, are smoothed. A sample counts by the time around it, from the intervals [s].
-    `target` is the variance of the target.
+    Of columns, (n, r), and smoothed discrepancies, (n,), of each record; a sample counts by the time around it, from
+    the intervals [s]. `target` is the variance of the target.
     """
     weights = [time_around(one) for one in intervals]
     whole = sum((w[:, None] * D).T @ D for w, D in zip(weights, columns, strict=True))
@@ -123,12 +123,5 @@ def time_around(intervals: Floats) -> Floats:
 
 def _correlated(scores: Sequence[Floats]) -> float:
     """Integrated correlation time of the columns that lasts longest, in samples: sums up to the first zero."""
-    longest, size = 1.0, 2 * max(map(len, scores))
-    for j in range(scores[0].shape[1]):
-        power = sum(np.abs(np.fft.rfft(one[:, j] - one[:, j].mean(), size)) ** 2 for one in scores)
-        correlation = np.fft.irfft(power)
-        if correlation[0] > 0.0:
-            correlation = correlation[: size // 2] / correlation[0]
-            stop = int(np.argmax(correlation <= 0.0)) or len(correlation)
-            longest = max(longest, 2.0 * float(correlation[:stop].sum()) - 1.0)
-    return longest
+    columns = ([one[:, j] - one[:, j].mean() for one in scores] for j in range(scores[0].shape[1]))
+    return max([1.0, *(1.0 / memory_of(correlation(own, own), 1)[1] for own in columns)])

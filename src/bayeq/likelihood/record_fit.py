@@ -26,12 +26,13 @@ from bayeq.likelihood.hidden import law_constants, with_laws_of
 from bayeq.likelihood.layout import Stated
 from bayeq.likelihood.levels import LEAST_NOISE
 from bayeq.likelihood.model import Fitted, Task, finished, fit, from_all_levels, of_motion, with_model
+from bayeq.likelihood.nodes import first_members
 from bayeq.likelihood.projection import Leftover, leftover
 from bayeq.likelihood.search import CLEARLY, Start, from_starts, resumed, search
 from bayeq.likelihood.spike import Nearly, Soft, among_fitted, among_neighbours, averaged, of_gram, soft_of
 from bayeq.likelihood.start import carried_over, series_and_paths, start_from
 from bayeq.likelihood.unequal import with_unequal_noise
-from bayeq.likelihood.unknowns import first_members, joint_covariance, moved, settled, with_constants
+from bayeq.likelihood.unknowns import joint_covariance, moved, settled, with_constants
 from bayeq.numerics.rk4 import Interpolation
 from bayeq.numerics.settings import LIKELIHOOD
 from bayeq.states import Motion, Sensors
@@ -46,7 +47,6 @@ HARDLY = 0.1
 # The noise of an input is read from the record if the likelihoods of none, of that found and of 5 %, as a share of the
 # variance, differ by more nats than this: two standard errors.
 SOME, READ = 0.05**2, 2.0
-
 
 # Constants are others where they differ by this share of their range.
 APART = 0.01
@@ -108,10 +108,7 @@ class RecordFit:
         return max(float(scores[0] - scores[1]), 0.0)
 
     def of_more(self, task: Task, state: State, quadratic: Quadratic, block: Block) -> RecordFit:
-        """What the likelihood of more rows, about a fit to some of them, tells.
-
-        The state has levels of all rows; the quadratic is their likelihood there, and the block is of all of them.
-        """
+        """The fit by the likelihood of more rows: the quadratic is at a state with levels of all, the block of all."""
         task = replace(task, series=self.task.series, counted=block.samples)
         state = replace(state, paths=self.fitted.state.paths)
         fitted = replace(self.fitted, expand=partial(replace, quadratic), state=state, tried={})
@@ -311,11 +308,8 @@ class RecordFit:
         )
 
     def judged(self, motion: Motion) -> Motion:
-        """The motion that equations are judged by, rows held out too: hidden states as the record tells them, and what
-        drifts in the samples of its channels taken out of them.
-
-        A derivative that is not measured is taken to be that of the coordinate without its drift, which is slow.
-        """
+        """The motion that equations are judged by, rows held out too: hidden states as the record tells them, drifts
+        taken out of the samples of channels."""
         layout = self.task.layout
         hidden = [name for chain in layout.roles.hidden for name in chain.states]
         motion = self.told(motion)
@@ -371,11 +365,9 @@ class RecordFit:
 
     @cached_property
     def standards(self) -> tuple[Standardised, ...]:
-        """The regression that the likelihood makes of each equation, in units of the priors and of the noise.
+        """The regression of each equation, others integrated out, in units of the priors and of the noise.
 
-        Its source is in original units, the constant estimated if it is in the model. The coefficients of the
-        model in the other equations are integrated out. Rows count so that the constant is known as well
-        as the mean of as many independent ones.
+        Rows count so that the constant of a model is known as well as the mean of as many independent ones.
         """
         return tuple(self._standard(c) for c in range(self.task.layout.chains))
 
@@ -431,16 +423,13 @@ def fit_record(
     conserved: Mapping[int, float] | None = None,
     others: Sequence[tuple[Motion, Sequence[Expression], Sequence[Gram]]] = (),
 ) -> RecordFit | None:
-    """Fit P candidates to the training rows of some motion, with time and smoothed.
+    """Fit P candidates to the training rows of some motion, with time and smoothed; long records in stretches at first.
 
-    Of long records the model is first looked for in stretches. `log_odds`, (C, P + 1), are of each candidate, and of
-    the constant, not being zero; `grams` of the smoothed rows, one per equation; `tolerance` as in `bayeq.discover`;
-    `stated` is what is known of coefficients before; `conserved` has the factors of the states, by the number of the
-    equation, of a sum that is conserved. `others` are other first paths of hidden states, terms with the constants of
-    their laws, and Grams: searches start from each, and the likeliest fit is taken.
-
-    None where the likelihood cannot be evaluated: terms that are not finite beside the path, or motion that no model
-    found stays near.
+    `log_odds`, (C, P + 1), are of each candidate, and of the constant, not being zero; `grams` of the smoothed rows,
+    one per equation; `stated` is what is known of coefficients before; `conserved` has the factors of the states, by
+    the number of the equation, of a sum that is conserved. `others` are other first paths of hidden states, terms with
+    the constants of their laws, and Grams: searches start from each, and the likeliest fit is taken. None where the
+    likelihood cannot be evaluated.
     """
     with np.errstate(all="ignore"), suppress(np.linalg.LinAlgError):
         some, places = _stretches(motion)
@@ -497,10 +486,10 @@ def as_likely(task: Task, fitted: Fitted, others: Sequence[tuple[Task, Fitted]])
 def learned_sensors(
     motion: Motion, terms: Sequence[Expression], log_odds: Floats, grams: Sequence[Gram]
 ) -> tuple[Sensors, float]:
-    """Lags and factors of channels, as a first fit of a dictionary to the training rows of some motion finds them.
+    """Lags and factors of channels, as a first fit of a dictionary to the training rows of some motion finds them, and
+    how far the farthest is from what was taken out, in standard deviations; arguments as for `fit_record`.
 
-    Also how far the farthest is from what has been taken out, in standard deviations. Arguments are as for
-    `fit_record`; a LinAlgError says that the likelihood cannot be evaluated.
+    A LinAlgError says that the likelihood cannot be evaluated.
     """
     with np.errstate(all="ignore"):
         some, _ = _stretches(motion)
@@ -518,9 +507,8 @@ def refit_record(
 ) -> RecordFit | None:
     """Fit all rows of some motion, starting from what was found on the first rows of each record.
 
-    Where that leaves more of a discrepancy, by more than two standard errors, the search begins once more without it,
-    and the likelier answer is taken. Terms and Grams are those of `fit_record`, of all rows. None where the likelihood
-    cannot be evaluated.
+    Where that leaves more of a discrepancy the search begins once more, and the likelier answer is taken; None where
+    the likelihood cannot be evaluated.
     """
     try:
         with np.errstate(all="ignore"):
@@ -573,8 +561,5 @@ def _counts(rows: Sequence[int], longest: int) -> dict[int, int]:
     """How many stretches of each record are taken: of many records one of some of them, evenly chosen."""
     if len(rows) <= STRETCHES:
         return {k: max(1, round(STRETCHES * n / sum(rows))) for k, n in enumerate(rows)}
-    typical = min(longest, int(np.median(rows)))
-    chosen = (
-        np.linspace(0, len(rows) - 1, min(len(rows), -(-LIKELIHOOD.stretches_above // typical))).round().astype(int)
-    )
-    return dict.fromkeys(chosen.tolist(), 1)
+    most = -(-LIKELIHOOD.stretches_above // min(longest, int(np.median(rows))))
+    return dict.fromkeys(np.linspace(0, len(rows) - 1, min(len(rows), most)).round().astype(int).tolist(), 1)

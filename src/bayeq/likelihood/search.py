@@ -57,22 +57,14 @@ WIDER, CLEARLY = (10.0, 100.0), 3.0
 
 
 def widened(task: Task, fitted: Fitted) -> Task:
-    """The task with a wider prior of the coefficients, where the likeliest model is clearly likelier under it.
-
-    Terms that cancel each other, as those of a growth that needs a crowd, have coefficients far larger than either
-    would need alone.
-    """
+    """The task with a wider prior of the coefficients, which terms that cancel need, if it is clearly likelier."""
     tasks = [task, *(replace(task, precision=task.precision / factor, recent=[]) for factor in WIDER)]
     values = [best_models(one.problem(fitted.quadratic))[0][0] for one in tasks]
     return tasks[int(np.argmax(np.array(values) - CLEARLY * (np.arange(len(tasks)) > 0)))]
 
 
 def likeliest(task: Task, fitted: Fitted) -> State:
-    """A start for the likeliest model, cut down term by term until its motion stays near the path over a step.
-
-    Where the discrepancy still explains all the motion many terms may make up for each other, with coefficients by
-    which a deviation from the path would explode.
-    """
+    """A start for the likeliest model, cut down term by term until its motion stays near the path over a step."""
     problem = task.problem(fitted.quadratic)
     path = [best_models(problem)[0][1]]
 
@@ -92,10 +84,7 @@ def likeliest(task: Task, fitted: Fitted) -> State:
 
 
 def steady(task: Task, state: State) -> bool:
-    """Whether a step multiplies deviations from the path by less than `most_growth`, and ends near the path.
-
-    Those of chaotic maps may grow by more.
-    """
+    """Whether a step ends near the path, and multiplies deviations by less than `most_growth`, but for maps."""
     spread = np.sqrt(state.levels.scales.variance[: task.layout.motion])
     most = math.inf if task.layout.discrete else LIKELIHOOD.most_growth
     for linear in task.linearised(state):
@@ -109,10 +98,7 @@ def steady(task: Task, state: State) -> bool:
 
 
 def rounds(task: Task, state: State, coarse: bool) -> tuple[Task, Fitted]:
-    """Fits, each of the model that is likeliest on the Gram of the one before, until that stays; the best of them.
-
-    Between coarse fits priors may become wider, and steps of the integration finer: the task has these.
-    """
+    """The best of fits, each of the model that is likeliest on the Gram of the one before, and its task."""
     best = now = fit(task, state, coarse)
     seen = {now.model.tobytes()}
     for _ in range(ROUNDS):
@@ -134,10 +120,7 @@ def rounds(task: Task, state: State, coarse: bool) -> tuple[Task, Fitted]:
 
 
 def on_the_way(task: Task, state: State) -> tuple[Task, Fitted]:
-    """Coarse rounds from one start, with steps as fine as they need.
-
-    The memory of discrepancies is not bounded: from heavy noise that is the shorter way.
-    """
+    """Coarse rounds from one start; discrepancies remember as long as they like, from heavy noise the shorter way."""
     bounded = state.levels.scales
     state = replace(state, levels=state.levels.unbounded)
     task, best = rounds(finer(task, state), state, coarse=True)
@@ -161,10 +144,7 @@ def all_together(task: Task, empty: State) -> State | None:
 
 
 def from_the_simplest(task: Task, empty: State) -> State | None:
-    """A start found among the simplest candidates, then among more of them; None where all are as simple.
-
-    Of many candidates that noise hardly tells apart those that fit best together explain nothing but the noise.
-    """
+    """A start found among the simplest candidates, then among more of them; None where all are as simple."""
     sizes = np.array([term.size for term in task.layout.terms])
     state = None
     for share in SIMPLEST:
@@ -191,8 +171,8 @@ def begun(task: Task, start: Start) -> tuple[Task, Fitted] | None:
 def from_starts(task: Task, starts: Iterable[Start], finish: bool = False) -> tuple[Task, Fitted]:
     """The likeliest fit that starts lead to, from the next one too where those before left a discrepancy.
 
-    The first model is on the way if it leaves none, unless it is to be finished too; a model that starts lead to again
-    is not fitted again. A LinAlgError says that no start leads to a likelihood that can be evaluated.
+    The first model is on the way if it leaves none, unless it is to be finished too. A LinAlgError says that no start
+    leads to a likelihood that can be evaluated.
     """
     settled: dict[bytes, tuple[Task, Fitted]] = {}
     for one in starts:
@@ -217,9 +197,8 @@ def from_starts(task: Task, starts: Iterable[Start], finish: bool = False) -> tu
 def search(task: Task, starts: Sequence[Start], finish: bool = False) -> tuple[Task, Fitted]:
     """The best model that rounds of selection lead to, and the task with the steps of integration that were used.
 
-    Rounds start from the next start too where those before left a discrepancy. The last one has no terms but those of
-    stated laws; the fit of all candidates from there is a further start if these are few. `finish` as in
-    `from_starts`.
+    The last start has no terms but those of stated laws; the fit of all candidates from there is a further one if these
+    are few. `finish` as in `from_starts`.
     """
     assert isinstance(starts[-1], State)
     together, simplest = partial(all_together, task, starts[-1]), partial(from_the_simplest, task, starts[-1])

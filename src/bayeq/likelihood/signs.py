@@ -82,10 +82,8 @@ def middle_of_jump(term: Expression, jump: Call, evaluate: Evaluator) -> Floats 
 
 
 def unresolved_share(jump: Call, evaluate: Evaluator, width: Floats, error: Floats) -> Floats:
-    """Mean square of what the mean of a jump is off, in units of the square of its half.
-
-    The mean was taken over `width`, (n,); `error`, (n,), is that of the path alone.
-    """
+    """Mean square of what the mean of a jump over `width`, (n,), is off where the path errs by `error`, (n,), in
+    units of the square of its half."""
     values = SLOPE * evaluate(Expression(_sides(jump)[2]))
     taken, true = np.tanh(values / width), np.tanh(values / error)
     return np.asarray(1.0 - 2.0 * taken * true + taken**2)

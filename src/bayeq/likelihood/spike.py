@@ -30,8 +30,9 @@ from bayeq.likelihood.adjoint import Adjoint, root_of
 from bayeq.likelihood.fit import Quadratic, State, adjoints, candidates, coefficients, corrections, information, solved
 from bayeq.likelihood.layout import Candidates, Layout
 from bayeq.likelihood.model import Fitted, Task, calmed, fit, over_all_sizes, with_model
+from bayeq.likelihood.nodes import extended
 from bayeq.likelihood.search import MOST_TO_MOVE
-from bayeq.likelihood.unknowns import extended, moved, tangents_of
+from bayeq.likelihood.unknowns import moved, tangents_of
 from bayeq.numerics.settings import LIKELIHOOD
 
 Sizes = tuple[float, ...]
@@ -69,8 +70,8 @@ class Nearly:
 def softened(q: Quadratic, root: Floats, spread: Floats) -> Quadratic:
     """The likelihood about p coefficients with deviations N(0, S S') integrated out, S = `spread`, (p, K).
 
-    With F'S = U diag(s) V' the information is F (I - U U') F' + F U diag(1/(1 + s^2)) U' F': the difference
-    A - A S (I + S'A S)^-1 S'A, which it equals, is lost in rounding where the noise is little; F, (p, r), is its root.
+    With F'S = U diag(s) V' the information is F (I - U U') F' + F U diag(1/(1 + s^2)) U' F': the difference A - A S (I
+    + S'A S)^-1 S'A, which it equals, is lost in rounding where the noise is little; F, (p, r), is its root.
     """
     U, s, _ = np.linalg.svd(root.T @ spread, full_matrices=False)
     left, inside = 1.0 / (1.0 + s**2), root @ U
@@ -87,8 +88,7 @@ def softened(q: Quadratic, root: Floats, spread: Floats) -> Quadratic:
 def isotropic(columns: Floats, moved: Sequence[Floats], deviation: float) -> Floats:
     """R, (p, K), of functions of columns in units of coefficients' priors: of root mean square `deviation`, all alike.
 
-    Columns, (n, p), are along the path, `moved` what they change by where the states are uncertain: a function that
-    changes more there than along the path cannot be told from their noise. `deviation` is the target's.
+    Columns, (n, p), are along the path, `moved` what uncertain states change them by: more of that is noise.
     """
     unit = np.sqrt(len(columns)) * deviation
     _, size, axes = np.linalg.svd(np.linalg.qr(np.vstack([columns, *moved]), mode="r") / unit, full_matrices=False)
@@ -155,10 +155,7 @@ def freed(layout: Layout, state: State, first: int) -> list[Freed]:
 
 @dataclass(eq=False)
 class Soft:
-    """The likelihood of all candidates about a fit, beside functions of some size in each equation.
-
-    Where an equation has few candidates the functions are of hidden ones as well, which no model has.
-    """
+    """The likelihood of all candidates about a fit, hidden ones too if they are few, beside functions of some size."""
 
     task: Task  # the fit
     fitted: Fitted
@@ -222,8 +219,7 @@ class Soft:
         return root_of(self.whole.information)
 
     def quadratic(self, tau: Sizes, constants: Sequence[Freed] | None = None) -> tuple[Quadratic, float]:
-        """The likelihood of all candidates about zero, and ln of its largest value: the functions are integrated out,
-        and so are all constants, or these."""
+        """The likelihood of all candidates about zero, functions and constants integrated out; ln of its maximum."""
         q = replace(self.whole, slope=self.whole.slope - self.whole.information @ self.about)
         spreads = [size * spread for size, spread in zip(tau, self.spreads, strict=True) if size > 0.0]
         spreads += spreads_of(self.constants if constants is None else constants, len(self.about), len(tau))
@@ -256,19 +252,15 @@ class Soft:
         return self.sets[tau] if any(tau) else as_fitted(self.sets[tau], self.task, self.fitted)
 
     def _with_constants(self, tau: Sizes, found: ModelSet) -> ModelSet:
-        """The models, each with the constants of its own terms integrated out.
-
-        The prior of terms has lost what the ranges of constants cost, which is given back.
-        """
-        return _sorted(
-            found, found.models, self._integrated(tau, np.array([self.task.wide(one) for one in found.models]))
-        )
+        wide = np.array([self.task.wide(one) for one in found.models])
+        return _sorted(found, found.models, self._integrated(tau, wide))
 
     def exact(self, wide: Bools) -> Floats:
-        """ln p(data, model) of exact laws, up to a constant, each with the constants of its own terms integrated out."""
+        """ln p(data, model) of exact laws, as of `models`."""
         return self._integrated((0.0,) * len(self.spreads), wide)
 
     def _integrated(self, tau: Sizes, wide: Bools) -> Floats:
+        """ln p of models, constants of their own terms integrated out; what their ranges cost is given back."""
         has = wide[:, self.task.number(Candidates(*np.array([one.of for one in self.constants]).T))]
         values = np.empty(len(wide))
         for pattern in np.unique(has, axis=0):
@@ -341,7 +333,7 @@ def among_fitted(found: ModelSet, task: Task, fitted: Fitted) -> ModelSet:
     return _sorted(found, models, np.array([*tried.values()]))
 
 
-def _sorted(found: ModelSet, models: NDArray[np.bool_], values: Floats) -> ModelSet:
+def _sorted(found: ModelSet, models: Bools, values: Floats) -> ModelSet:
     order = np.argsort(-values, kind="stable")
     return replace(found, models=models[order], log_posterior=values[order], inclusion=None)
 
@@ -429,10 +421,9 @@ MOVES = 5
 
 
 def among_neighbours(task: Task, best: Fitted, fewer: bool = False) -> tuple[Task, Fitted]:
-    """The model that single moves lead to, each compared by its own fit; with many samples the Gram suffices.
+    """The model that single moves lead to, each compared by its own fit with its own constants; of many samples itself.
 
-    Constants inside terms are where each model has them likeliest. With `fewer` moves only leave terms out, whatever
-    the Gram says.
+    With `fewer` moves only leave terms out, whatever the Gram says.
     """
     if task.rows > MOST_TO_MOVE:
         return task, best

@@ -9,9 +9,8 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bayeq.arrays import Floats
+from bayeq.arrays import Bools, Floats
 from bayeq.dictionary import evaluate_terms
 from bayeq.expressions import Expression
 from bayeq.inference.collapsed.slab import likeliest_by_rows
@@ -61,8 +60,8 @@ def start_from(
 ) -> tuple[Task, tuple[Start, ...]]:
     """What is to be explained by a dictionary in the training rows of some motion, and where fits start.
 
-    Arguments are as for `bayeq.likelihood.record_fit.fit_record`. The states are the regression of the smoothed rows,
-    of half as many terms as often as no fit begins from that, and the motion without any term.
+    The states are the regression of the smoothed rows, of half as many terms as often as no fit begins from that, and
+    the motion without any term. Arguments are those of `bayeq.likelihood.record_fit.fit_record`.
     """
     roles, pieces = motion.roles, motion.train
     known = _known_noise(motion)
@@ -114,8 +113,8 @@ def start_from(
 def _tied(stated: Stated, layout: Layout, precision: Floats, odds: Floats) -> Stated:
     """A tie as a sum that is known very well; the first of its coefficients gets the odds that follow from the others.
 
-    Within TIED of a prior's standard deviation the sum has a share TIED of the prior probability, which those odds
-    make up for; alone the first coefficient is nothing, so that odds of 1/20 are left to that.
+    Within TIED of a prior's standard deviation the sum has a share TIED of the prior probability, which those odds make
+    up for; alone the first coefficient is nothing, so that odds of 1/20 are left to that.
     """
     if stated.sd > 0.0:
         return stated
@@ -134,7 +133,7 @@ def _known_noise(motion: Motion) -> dict[str, float]:
     return still | dict(motion.sensors.noise)
 
 
-def _set_known(noise: Floats, layout: Layout, scales: Scales, known: Mapping[str, float]) -> NDArray[np.bool_]:
+def _set_known(noise: Floats, layout: Layout, scales: Scales, known: Mapping[str, float]) -> Bools:
     """Puts the known noise of channels into the variances `noise`, (M,); returns which channels these are."""
     held = np.array([name in known for name, _ in layout.channels])
     for i in np.flatnonzero(held):
@@ -143,11 +142,8 @@ def _set_known(noise: Floats, layout: Layout, scales: Scales, known: Mapping[str
 
 
 def start_of_runs(motion: Motion, terms: Sequence[Expression], course: Course) -> tuple[Task, State]:
-    """Where free runs of equations start: inputs are exact and of one course, and there is hardly a discrepancy.
-
-    The terms are those of all equations; the state is that of the smoothed motion in its training rows, without any
-    term.
-    """
+    """Where free runs of the terms of all equations start: inputs are exact and of one course, there is hardly a
+    discrepancy and not yet a term."""
     roles, count = motion.roles, len(motion.roles.inputs)
     bare = Layout(
         roles, tuple(terms), motion.unit_gains, (0,) * count, (0.0,) * count, (0.0,) * count, (course,) * count
@@ -173,10 +169,7 @@ def start_of_runs(motion: Motion, terms: Sequence[Expression], course: Course) -
 
 def _by_rows(task: Task, empty: State, grams: Sequence[Gram], most: float = math.inf) -> State:
     """The likeliest model of each equation, of `most` terms, as a regression of the smoothed rows; of a map with its
-    constant.
-
-    A map of samples that are far from zero has one, and without it samples are explained by noise.
-    """
+    constant, without which samples far from zero are explained by noise."""
     allowed = task.log_odds.reshape(task.layout.chains, -1)[:, :-1] > -np.inf
     chains, terms, theta, left = [], [], [], []
     for c, gram in enumerate(grams):
@@ -224,10 +217,7 @@ def _with_inputs(layout: Layout, inputs: Sequence[_Input]) -> Layout:
 
 
 def with_courses(motion: Motion, task: Task, fitted: Fitted, k: int) -> Iterator[list[tuple[Task, State]]]:
-    """The task with other courses of input k, smooth as it is and a random sequence; the fit as a start.
-
-    There are none of maps, which take inputs at samples alone.
-    """
+    """The task with other courses of input k, smooth as it is and a random sequence; the fit as a start."""
     if task.layout.discrete:
         return
     inputs, name = _inputs_of(fitted.state), task.layout.roles.inputs[k]
@@ -265,10 +255,8 @@ def _with_others(motion: Motion, task: Task, state: State, inputs: Sequence[_Inp
 
 
 def carried_over(motion: Motion, task: Task, fitted: Fitted, places: Sequence[tuple[int, int]]) -> tuple[Task, State]:
-    """The task on the training rows of some motion, and a fit of some of them as its start.
-
-    Places are the record that each path of the fit belongs to, and its first row there.
-    """
+    """The task on the training rows of some motion, and a fit of some of them as its start; `places` are the record of
+    each path of the fit, and its first row there."""
     series, paths = series_and_paths(task.layout, motion.train)
     for path, (record, first) in zip(fitted.state.paths, places, strict=True):
         paths[record][first : first + len(path)] = path

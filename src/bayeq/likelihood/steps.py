@@ -10,7 +10,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayeq.arrays import Bools, Floats, Ints
 from bayeq.expressions.evaluate import Program, run_tape
@@ -37,7 +36,7 @@ class Steps(NamedTuple):
     last: Ints  # (C,), see `Layout.last`
     factors: Floats  # (C,), rate of that state for a target of 1; 0 of static laws, whose targets are not integrated
     motion: int  # number of states that are derivatives of chains: the first ones, which alone depend on coefficients
-    rising: NDArray[np.bool_]  # (S,), whether the rate of a state behind them is the next one, and not 0
+    rising: Bools  # (S,), whether the rate of a state behind them is the next one, and not 0
     straight: Ints  # (S,), how a state behind them goes from one sample to the next: `SMOOTH`, `STRAIGHT` or `HELD`
     # whether terms hold targets: then the program gives these without discrepancies, and (I - A)^-1, at last
     implicit: bool
@@ -69,9 +68,8 @@ def _set_inputs(program: Program, inputs: Floats, size: int, row: int, fraction:
 def _drift(steps: Steps, path: Floats, row: int, interval: float, fraction: float, last: bool, powers: Floats) -> None:
     """Puts states that are no derivatives of chains, a fraction of an interval after a sample, into the registers.
 
-    Each is constant or has the next one as its rate: Taylor's series. An input that is not `SMOOTH` goes straight to
-    where that ends, or is held until there; `last` asks for that end. `powers` (S, S) receive derivatives by the states
-    at the sample.
+    By Taylor's series; an input that is not `SMOOTH` goes straight to where that ends, or is held until there, `last`.
+    `powers` (S, S) receive derivatives by the states at the sample.
     """
     size = path.shape[1]
     for i in range(steps.motion, size):
@@ -161,9 +159,7 @@ def integrate(
     target: Floats,
     gradient: Floats,
 ) -> None:
-    """Steps from samples `first` to `stop` of a path, with their derivatives by states and coefficients.
-
-    They are those of Runge and Kutta, or of a map.
+    """Runge-Kutta steps, or those of a map, from samples `first` to `stop` of a path, with their derivatives.
 
     Receives, from its first row on, what `Linear` has; of empty arrays nothing. `own`: these are the coefficients of
     the model.
@@ -227,8 +223,7 @@ def integrate(
 def add_derivatives(steps: Steps, start: Floats, end: Floats, directions: Floats, between: bool, out: Floats) -> None:
     """Adds to `out` (C, P + 1) the derivatives of the candidates along directions (n, C, S), summed over rows.
 
-    They are taken at the starts of steps, or, `between`, as the mean over the middles of the Runge-Kutta steps on the
-    straight lines to their ends.
+    They are taken at the starts of steps, or, `between`, in the middles of Runge-Kutta steps on straight lines.
     """
     program, (n, size), chains = steps.basis, start.shape, directions.shape[1]
     tangents = np.zeros((program.registers.shape[0], chains))
@@ -264,10 +259,7 @@ def add_derivatives(steps: Steps, start: Floats, end: Floats, directions: Floats
 
 
 def arrays(*shapes: tuple[int, ...]) -> list[Floats]:
-    """Arrays in one block of memory, not initialised.
-
-    The first touch of a small page takes about as long as a filter needs for what stands in it.
-    """
+    """Arrays in one block of memory, not initialised: the first touch of small pages takes as long as a filter."""
     ends = np.cumsum([math.prod(shape) for shape in shapes])
     total = int(ends[-1])
     block = np.empty(max(total, LARGE) if total > SMALL else total)

@@ -112,8 +112,7 @@ def proportion_of(squares: Floats, readings: Floats) -> tuple[Floats, float]:
 def in_proportion(
     layout: Layout, sensors: Sensors, series: tuple[Series, ...], readings: list[Floats]
 ) -> tuple[Series, ...]:
-    """Samples with variances in proportion to the square of smoothed readings, (n, M) of every record, where that is
-    known. A share that is learned begins with equal ones: near zero heavy weights would hold the path to the noise."""
+    """Samples with variances as the square of smoothed readings, (n, M) of every record, where the share is known."""
     out = [one.spread.copy() for one in series]
     for i, (name, _) in enumerate(layout.channels):
         if sensors.of_reading.get(name, 0.0) > 0.0:
@@ -124,10 +123,7 @@ def in_proportion(
 
 
 def with_unequal_noise(task: Task, state: State, sensors: Sensors) -> tuple[Task, State]:
-    """The task with a variance of each sample where sensors ask for it, and the fit of the same model to it.
-
-    Channels whose noise is known keep it.
-    """
+    """The task with a variance of each sample where sensors ask for it, and the fit of the same model to it."""
     if sensors.tails != "student" and not sensors.of_reading:
         return task, state
     before = [one.spread for one in task.series]
@@ -170,10 +166,7 @@ def _spread(task: Task, state: State, sensors: Sensors) -> tuple[Task, State]:
 
 
 def _squares(task: Task, state: State) -> tuple[list[Floats], list[Floats]]:
-    """Expected squares of the errors of all samples, (n, M) of every record, and of what is measured.
-
-    NaN where there is no sample.
-    """
+    """Expected squares of the errors of samples, (n, M) of every record, and of what is measured; NaN without one."""
     out, readings = [], []
     for linear, one in zip(task.linearised(state), task.series, strict=True):
         # the future determines a sample as well as the past does

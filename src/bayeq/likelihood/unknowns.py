@@ -20,53 +20,54 @@ from typing import NamedTuple
 import numpy as np
 
 from bayeq.arrays import Bools, Floats
-from bayeq.dictionary import evaluate_terms
 from bayeq.dictionary.ranges import (
     JUMP_NODES,
-    NODES,
     ConstantEstimate,
     Forms,
     constants_of,
     extent,
     families,
-    grids,
     is_scale,
     jumps_at,
-    located,
-    middle,
     to_plain,
     to_scale,
 )
-from bayeq.expressions import Binary, Expression, Node, Symbol, Unknown, number
-from bayeq.inference.collapsed.search import best_models, scores_of
-from bayeq.inference.collapsed.slab import exact_posterior
-from bayeq.likelihood.fit import Quadratic, State, adjoints, corrections, improved, information, maximised, solved
+from bayeq.expressions import Binary, Expression, Node, Symbol, number
+from bayeq.inference.collapsed.search import best_models
+from bayeq.likelihood.fit import State, improved, maximised, solved
 from bayeq.likelihood.layout import Candidates, Layout
 from bayeq.likelihood.model import (
     COARSE,
     MOST_HALVED,
     Fitted,
     Task,
-    calmed,
     finished,
     fit,
     over_all_sizes,
     with_model,
 )
+from bayeq.likelihood.nodes import (
+    TRIED,
+    GridNode,
+    allowed_in,
+    bounded,
+    by_rows,
+    choices_of,
+    derivative,
+    extended,
+    fresh,
+    on_gram,
+    ranked,
+    start_at,
+    with_terms,
+    with_values,
+)
 from bayeq.likelihood.search import settle
-from bayeq.likelihood.start import precision_of_terms
 from bayeq.numerics.distributions import Z95
 from bayeq.states import Motion
 
-# Smoothed rows in which values are sought, at most, where no term is a wave.
-ROWS = 4000
-
-# Values that are tried on the likelihood about a fit, those that explain most of the smoothed rows; of their peaks as
-# many are fitted.
-TRIED, PEAKS = 24, 2
-
-# Values for which a term is a sum of others, but for this share, say nothing of it.
-COPIED = 1e-6
+# Peaks of the likelihood about a fit that are fitted, at most.
+PEAKS = 2
 
 # Where the likelihood about a fit finds another model likelier by more nats, at the values of the fit, it misleads: a
 # term is next to infinite somewhere.
@@ -82,49 +83,15 @@ ROUNDS, BETTER = 3, 0.5
 # more than this share of its standard deviation.
 STEPS, FARTHEST, NEAR = 12, 0.25, 0.05
 
-# Differences of terms by their constants are over this much of a logarithm, or share of the range.
-STEP = 1e-4
-
-
-def first_values(terms: Sequence[Expression], motion: Motion, allowed: Bools) -> tuple[Expression, ...]:
-    """Terms with values of their constants that explain most of the smoothed rows beside the other terms.
-
-    An InputError says that a range has to be written.
-    """
-    found = tuple(terms)
-    if not any(term.unknowns for term in terms):
-        return found
-    constants = located(terms, [rows.columns for rows in motion.train])
-    known = {name for name, one in constants.items() if not math.isnan(one.value)}  # of laws of hidden states
-    first = {name: one.value if name in known else middle(one) for name, one in constants.items()}
-    found = _with(found, first, constants)
-    for family in families(terms):
-        if known.intersection(*(terms[j].unknowns for j in family)):
-            continue
-        values, _ = _ranked(found, motion, allowed, family)
-        found = _with(found, values[0], constants)
-    return found
-
-
-def first_members(motion: Motion, terms: Sequence[Expression], log_odds: Floats) -> Floats:
-    """Log odds, (C, P + 1), of which those of all members of an either-or are nothing but of one that explains most."""
-    out = log_odds.copy()
-    for members in _choices(terms).values():
-        gains = [_ranked(terms, motion, log_odds[:, :-1] > -np.inf, [j])[1][0] for j in members]
-        for j in members:
-            if j != members[int(np.argmax(gains))]:
-                out[:, j] = -np.inf
-    return out
-
 
 def with_constants(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fitted, Forms]:
     """A fit with its constants where they are likeliest, and the likeliest members of its choices.
 
-    The task then has terms of these values, and odds that know how wide their ranges are; the forms are the log
-    posteriors of the members, but for those that are not finite beside the motion.
+    Odds of the task know how wide ranges are; the forms are the log posteriors of members that are finite on the
+    motion.
     """
     terms = task.layout.terms
-    choices = _choices(terms)
+    choices = choices_of(terms)
     if not choices and not task.layout.has_constants:
         return task, fitted, {}
     task, fitted = settled(motion, task, finished(task, fitted))
@@ -209,9 +176,9 @@ def _instead_of(
     if out is family:
         (now, _), (least, model) = (best_models(one.problem(fitted.quadratic))[0] for one in (task, bare))
         return [] if least < now - MISLEADS else [settle(bare, with_model(bare, fitted, bare.wide(model)))]
-    values, _ = _ranked(task.layout.terms, motion, _allowed(bare), family)
-    nodes = _on_gram(bare, fitted, family, values[:TRIED])
-    return [moved(*settle(*_at(motion, bare, fitted, max(nodes, key=lambda one: one.score))), motion)]
+    values, _ = ranked(task.layout.terms, motion, allowed_in(bare), family)
+    nodes = on_gram(bare, fitted, family, values[:TRIED])
+    return [moved(*settle(*start_at(motion, bare, fitted, max(nodes, key=lambda one: one.score))), motion)]
 
 
 def _without(task: Task, terms: Sequence[int]) -> Task:
@@ -223,7 +190,7 @@ def _without(task: Task, terms: Sequence[int]) -> Task:
 
 def _listed(task: Task, fitted: Fitted, some: Sequence[int]) -> str:
     """Those of some terms that a model has in any equation."""
-    held = fitted.model.reshape(task.layout.chains, -1).any(axis=0)
+    held = np.atleast_1d(fitted.model.reshape(task.layout.chains, -1).any(axis=0))
     return ", ".join(task.layout.terms[j].text for j in some if held[j])
 
 
@@ -235,10 +202,10 @@ def _averaged(task: Task, fitted: Fitted) -> float:
 def _elsewhere(motion: Motion, task: Task, fitted: Fitted, family: Sequence[int]) -> tuple[Task, Fitted]:
     """The fit, or one with other values of the constants of a family that the likelihood about it finds likelier."""
     now = {name: one.value for j in family for name, one in task.layout.terms[j].unknowns.items()}
-    tried = [one for one in _by_rows(task, motion, family) if one != now]
+    tried = [one for one in by_rows(task, motion, family) if one != now]
     if not tried:
         return task, fitted
-    here, *others = _on_gram(task, fitted, family, [now, *tried])
+    here, *others = on_gram(task, fitted, family, [now, *tried])
     least = BETTER + (here.score if here.score < here.fitted + MISLEADS else here.fitted)
     # where the model lacks the terms, derivatives by their constants stand for them, and cost nothing
     present = [_holds(task, one.model, family) for one in others]
@@ -246,7 +213,7 @@ def _elsewhere(motion: Motion, task: Task, fitted: Fitted, family: Sequence[int]
     peaks = [one for one in _peaks(tried, others) if one.score >= least]
     for node in sorted(peaks, key=lambda one: -one.score)[:PEAKS]:
         try:
-            other = settle(*_at(motion, task, fitted, node))
+            other = settle(*start_at(motion, task, fitted, node))
         except np.linalg.LinAlgError:
             continue
         # of a model without these terms their values say nothing: those of its neighbours stay
@@ -260,7 +227,7 @@ def _holds(task: Task, model: Bools, family: Sequence[int]) -> bool:
     return bool(model.reshape(task.layout.chains, -1)[:, list(family)].any())
 
 
-def _peaks(tried: Sequence[Mapping[str, float]], nodes: Sequence[_Node]) -> list[_Node]:
+def _peaks(tried: Sequence[Mapping[str, float]], nodes: Sequence[GridNode]) -> list[GridNode]:
     """Nodes that are likelier than those beside them, of one constant; of several the likeliest."""
     if not tried or len(tried[0]) > 1:
         return sorted(nodes, key=lambda one: -one.score)[:1]
@@ -276,114 +243,8 @@ def _instead(motion: Motion, task: Task, fitted: Fitted, active: int, j: int) ->
     odds[:, j], odds[:, active] = odds[:, active], -np.inf
     task = replace(task, log_odds=odds.ravel(), recent=[])
     family = next((own for own in families(task.layout.terms) if j in own), [j])
-    tried = _on_gram(task, fitted, family, _by_rows(task, motion, family))
-    return settle(*_at(motion, task, fitted, max(tried, key=lambda one: one.score)))
-
-
-class _Node(NamedTuple):
-    """Values of some constants; log posterior of the likeliest model there, the model, its coefficients; log posterior
-    of the fitted model."""
-
-    values: Mapping[str, float]
-    score: float
-    model: Bools
-    theta: Floats
-    fitted: float
-
-
-def _at(motion: Motion, task: Task, fitted: Fitted, node: _Node) -> tuple[Task, State]:
-    """The task at other values, and the start of a fit there."""
-    task = _with_terms(motion, task, _with(task.layout.terms, node.values))
-    chosen = task.layout.everything.take(np.flatnonzero(node.model))
-    return task, calmed(replace(_fresh(fitted.state, task.layout), chosen=chosen, theta=node.theta))
-
-
-def _on_gram(task: Task, fitted: Fitted, family: Sequence[int], values: Sequence[Mapping[str, float]]) -> list[_Node]:
-    """What the likelihood about a fit makes of other values of a family's constants; nothing where it is not finite.
-
-    Beside each term stand its derivatives by its constants, so that a node of a grid covers its neighbourhood.
-    """
-    layout, P, C = task.layout, len(task.layout.terms), task.layout.chains
-    names = [(j, name) for j in family for name in layout.terms[j].unknowns]
-    others: list[Expression] = []
-    for one in values:
-        terms = _with(layout.terms, one)
-        others += [terms[j] for j in family]
-        others += [_derivative(terms[j], name) for j, name in names]
-    q, precision, odds = _beside(task, fitted, others, [*family, *(j for j, _ in names)])
-    wide, each = P + len(others) + 1, len(family) + len(names)
-    out = []
-    for k, one in enumerate(values):
-        column = np.append(np.arange(P), wide - 1)
-        column[list(family)] = P + k * each + np.arange(len(family))
-        column = np.append(column, P + k * each + len(family) + np.arange(len(names)))
-        at = (np.arange(C)[:, None] * wide + column).ravel()
-        known = odds[at].reshape(C, -1)
-        known[:, P + 1 :] = np.where(known[:, P + 1 :] > -np.inf, np.inf, -np.inf)
-        own = replace(task, precision=precision[at], log_odds=known.ravel(), recent=[])
-        try:
-            problem = own.problem(Quadratic(q.level, q.slope[at], q.information[np.ix_(at, at)]))
-        except np.linalg.LinAlgError:
-            out.append(_Node(one, -math.inf, np.zeros(C * (P + 1), dtype=np.bool_), np.zeros(0), -math.inf))
-            continue
-        score, model = best_models(problem)[0]
-        same = np.hstack([fitted.model.reshape(C, -1), known[:, P + 1 :] > -np.inf]).ravel()
-        coef, _ = exact_posterior(problem, model, None)
-        theta = (coef / np.sqrt(own.precision)).reshape(C, -1)
-        found = model.reshape(C, -1)[:, : P + 1]
-        moved = {}
-        constants = constants_of(_with(layout.terms, one))
-        for name in one:
-            pairs = [(j, P + 1 + i) for i, (j, other) in enumerate(names) if other == name]
-            size = np.array([theta[:, j] for j, _ in pairs])
-            square, constant = float(np.sum(size**2)), constants[name]
-            step = float(np.sum(size * np.array([theta[:, i] for _, i in pairs]))) / square if square else 0.0
-            step = float(np.clip(step, -1.0, 1.0)) * min(1.0, extent(constant) / NODES / max(abs(step), 1e-300))
-            moved[name] = _bounded(constant, to_scale(constant, constant.value) + step)
-        before = float(scores_of(problem, same[None])[0])
-        out.append(_Node(moved, score, found.ravel(), theta[:, : P + 1][found], before))
-    return out
-
-
-def _beside(
-    task: Task, fitted: Fitted, others: Sequence[Expression], each: Sequence[int]
-) -> tuple[Quadratic, Floats, Floats]:
-    """The likelihood about zero of further terms too, and precision and log odds of all.
-
-    Those of the further terms, which come in groups as `each`, are as of these terms, by their variance.
-    """
-    layout, P = task.layout, len(task.layout.terms)
-    own, state = extended(task, fitted.state, others)
-    linears, found = own.linearised(state), own.marginal(state)
-    smoothed = adjoints(linears, state.levels, found, found.delta, curved=True)
-    q = information(own.layout, linears, state, corrections(own.layout, linears, smoothed)).raised(fitted.power)
-    like = np.tile(each, len(others) // len(each))
-    odds, precision = (values.reshape(layout.chains, -1) for values in (task.log_odds, task.precision))
-    inside = np.concatenate([one.terms[:, P:-1] for one in linears]).var(axis=0)
-    base = np.concatenate([one.terms[:, :P] for one in linears]).var(axis=0)[like]
-    ratio = inside / np.maximum(base, 1e-300)
-    precision = np.hstack([precision[:, :-1], precision[:, like] * ratio, precision[:, -1:]])
-    odds = np.hstack([odds[:, :-1], odds[:, like], odds[:, -1:]])
-    return q, precision.ravel(), odds.ravel()
-
-
-def extended(task: Task, state: State, others: Sequence[Expression]) -> tuple[Task, State]:
-    """The task with further terms behind its own, and a state of its own terms there; of precision they have none."""
-    layout, P, width = task.layout, len(task.layout.terms), len(task.layout.terms) + len(others) + 1
-    column = np.append(np.arange(P), width - 1)
-    stated = [one._replace(parts=tuple((c, int(column[j]), w) for c, j, w in one.parts)) for one in layout.stated]
-    layout = replace(layout, terms=(*layout.terms, *others), stated=tuple(stated))
-    precision = np.zeros((layout.chains, width))
-    precision[:, column] = task.precision.reshape(layout.chains, -1)
-    own = replace(task, layout=layout, precision=precision.ravel(), log_odds=np.zeros(precision.size), recent=[])
-    state = _fresh(state, layout)
-    return own, replace(state, chosen=state.chosen._replace(term=column[state.chosen.term]))
-
-
-def _fresh(state: State, layout: Layout) -> State:
-    """The state for terms with other values: the widths of their jumps are not known if these are others."""
-    same = layout.jumps == state.levels.layout.jumps
-    return replace(state, levels=replace(state.levels, layout=layout), blurs=state.blurs if same else ())
+    tried = on_gram(task, fitted, family, by_rows(task, motion, family))
+    return settle(*start_at(motion, task, fitted, max(tried, key=lambda one: one.score)))
 
 
 class _Tangent(NamedTuple):
@@ -402,30 +263,10 @@ def tangents_of(layout: Layout, chosen: Candidates, theta: Floats) -> list[_Tang
             continue
         term = layout.terms[j]
         for name in term.unknowns:
-            change: Node = Binary("*", number(size), _derivative(term, name).tree)
+            change: Node = Binary("*", number(size), derivative(term, name).tree)
             key = name, c
             sums[key] = Binary("+", sums[key], change) if key in sums else change
     return [_Tangent(name, c, Expression(change)) for (name, c), change in sums.items()]
-
-
-def _derivative(term: Expression, name: str) -> Expression:
-    """The derivative of a term by one of its constants, on its scale."""
-    constant = term.unknowns[name]
-    step = STEP * (1.0 if is_scale(constant) else constant.high - constant.low)
-    if jumps_at(term, name):
-        step = extent(constant) / JUMP_NODES  # between two nodes of the grid
-    place = to_scale(constant, constant.value)
-    up, down = (
-        term.with_unknowns({name: replace(constant, value=to_plain(constant, place + way * step))}).tree
-        for way in (1.0, -1.0)
-    )
-    return Expression(Binary("*", number(0.5 / step), Binary("-", up, down)))
-
-
-def _bounded(constant: Unknown, place: float) -> float:
-    """A place on the scale of a constant, within its range, as a value."""
-    low, high = to_scale(constant, constant.low), to_scale(constant, constant.high)
-    return to_plain(constant, min(max(place, low), high))
 
 
 def _with_tangents(task: Task, state: State) -> tuple[Task, State, list[_Tangent]]:
@@ -444,10 +285,8 @@ def _with_tangents(task: Task, state: State) -> tuple[Task, State, list[_Tangent
 def _as_one(
     tangents: Sequence[_Tangent], theta: Floats, covariance: Floats
 ) -> tuple[Floats, Floats, Mapping[str, int]]:
-    """Coefficients with tangents behind them, and their covariance, given that a constant is the same in all equations.
-
-    Of each constant also the number of its first tangent among them.
-    """
+    """Coefficients with tangents behind them, and their covariance, given that a constant is the same in all equations;
+    of each constant also the number of its first tangent among them."""
     first: dict[str, int] = {}
     differences = []
     for k, one in enumerate(tangents, len(theta) - len(tangents)):
@@ -463,10 +302,8 @@ def _as_one(
 
 
 def moved(task: Task, fitted: Fitted, motion: Motion | None = None) -> tuple[Task, Fitted]:
-    """The fit with its constants moved to where they are likeliest, if the likelihood is finite on the way.
-
-    Steps to where it is not are halved. Priors are those of the terms in the rows of the motion, if it is given.
-    """
+    """The fit with its constants moved to where they are likeliest, if the likelihood is finite on the way; priors are
+    those of the terms in the rows of the motion, if it is given."""
     if not tangents_of(task.layout, fitted.state.chosen, fitted.state.theta):
         return task, fitted
     now, last, halved = (task, fitted.state), None, 0
@@ -483,7 +320,7 @@ def moved(task: Task, fitted: Fitted, motion: Motion | None = None) -> tuple[Tas
             last, now = now, then
             if farthest < NEAR:
                 break
-        own = now[0] if motion is None else _with_terms(motion, now[0], now[0].layout.terms)
+        own = now[0] if motion is None else with_terms(motion, now[0], now[0].layout.terms)
         return own, over_all_sizes(own, fit(own, now[1]))
     except np.linalg.LinAlgError:
         return task, fitted
@@ -502,7 +339,7 @@ def _step(task: Task, state: State) -> tuple[tuple[Task, State], float]:
         most = FARTHEST * extent(constant)
         step = min(max(float(theta[k]), -most), most)
         place = to_scale(constant, constant.value)
-        values[name] = _bounded(constant, place + step)
+        values[name] = bounded(constant, place + step)
         moved = abs(to_scale(constant, values[name]) - place)
         farthest = max(farthest, moved / math.sqrt(float(covariance[k, k])))
     return _at_values(task, replace(wide, chosen=state.chosen, theta=theta[: len(state.theta)]), values), farthest
@@ -510,8 +347,8 @@ def _step(task: Task, state: State) -> tuple[tuple[Task, State], float]:
 
 def _at_values(task: Task, state: State, values: Mapping[str, float]) -> tuple[Task, State]:
     """The task and a state for other values of the constants; priors stay."""
-    task = replace(task, layout=replace(task.layout, terms=_with(task.layout.terms, values)), recent=[])
-    return task, _fresh(state, task.layout)
+    task = replace(task, layout=replace(task.layout, terms=with_values(task.layout.terms, values)), recent=[])
+    return task, fresh(state, task.layout)
 
 
 def _halfway(last: tuple[Task, State], now: tuple[Task, State]) -> tuple[Task, State]:
@@ -523,10 +360,8 @@ def _halfway(last: tuple[Task, State], now: tuple[Task, State]) -> tuple[Task, S
 
 
 def joint_covariance(task: Task, state: State, power: float = 1.0) -> tuple[Floats, tuple[ConstantEstimate, ...]]:
-    """Covariance of the coefficients of a fit whose constants are not known either, and what is known of these.
-
-    Both are of a power of the likelihood.
-    """
+    """Covariance of the coefficients of a fit whose constants are not known either, and what is known of these, both of
+    a power of the likelihood."""
     own, wide, tangents = _with_tangents(task, state)
     _, covariance, first = _as_one(tangents, wide.theta, own.marginal(wide, keep=False).covariance)
     terms, estimates = task.layout.terms, []
@@ -572,98 +407,11 @@ def _costs(task: Task, fitted: Fitted) -> dict[int, float]:
     return {j: sum(lost.get(name, 0.0) for name in term.unknowns) for j, term in enumerate(terms) if term.unknowns}
 
 
-def _by_rows(task: Task, motion: Motion, family: Sequence[int]) -> list[dict[str, float]]:
-    """Values of a family's constants that explain most of the smoothed rows, beside the other terms and without them.
-
-    Those may stand for a function that one term is.
-    """
-    terms, allowed = task.layout.terms, _allowed(task)
-    beside, alone = (_ranked(terms, motion, allowed, family, others)[0][:TRIED] for others in (True, False))
-    return beside + [one for one in alone if one not in beside]
-
-
-def _ranked(
-    terms: Sequence[Expression], motion: Motion, allowed: Bools, family: Sequence[int], beside: bool = True
-) -> tuple[list[dict[str, float]], list[float]]:
-    """Values of a family's constants, those first that explain most of the smoothed rows, beside the other terms."""
-    own = [terms[j] for j in family]
-    rivals = {one.choice for one in own} - {""}
-    waves = any("sin" in one.text or "cos" in one.text for one in own)
-    total = sum(rows.n for rows in motion.train)
-    step = 1 if waves else max(1, total // ROWS)
-    parts = [rows.part(slice(None, None, step)) for rows in motion.train]
-    others = [
-        term
-        for j, term in enumerate(terms)
-        if beside and j not in family and term.choice not in rivals and allowed[:, j].any()
-    ]
-    Y = np.concatenate([np.column_stack([rows.columns[t] for t in motion.roles.targets]) for rows in parts])
-    D = np.ones((len(Y), 1))
-    if others:
-        D = np.hstack([D, np.concatenate([evaluate_terms(others, rows.columns) for rows in parts])])
-    D = D[:, np.isfinite(D).all(axis=0)]
-    Q, _ = np.linalg.qr(D / np.maximum(np.abs(D).max(axis=0), 1e-300))
-    left = Y - Q @ (Q.T @ Y)
-    square = np.maximum((left**2).sum(axis=0), 1e-300)
-    used = allowed[:, list(family)].any(axis=1)
-    constants = constants_of(own)
-    found: list[tuple[float, dict[str, float]]] = []
-    for values in grids(own, constants, [rows.columns for rows in motion.train]) if constants else iter([{}]):
-        now = _with(own, values, constants)
-        with np.errstate(all="ignore"):
-            columns = np.concatenate([evaluate_terms(now, rows.columns) for rows in parts])
-            size = np.sqrt((columns**2).sum(axis=0))
-        if not np.isfinite(size).all() or not (size > 0.0).all():
-            continue
-        rest = columns / size
-        rest = rest - Q @ (Q.T @ rest)
-        if (rest**2).sum(axis=0).min() < COPIED**2:
-            continue
-        gain = left.T @ rest
-        explained = np.einsum("ck,kc->c", gain, np.linalg.lstsq(rest.T @ rest, gain.T, rcond=1e-10)[0])
-        share = np.clip(explained / square, 0.0, 1.0 - 1e-12)
-        found.append((float(-0.5 * len(Y) * np.log1p(-share[used]).sum()), values))
-    found.sort(key=lambda one: -one[0])
-    if not found:
-        return [{name: middle(one) for name, one in constants.items()}], [-math.inf]
-    return [values for _, values in found], [score for score, _ in found]
-
-
-def _with(
-    terms: Sequence[Expression], values: Mapping[str, float], located: Mapping[str, Unknown] | None = None
-) -> tuple[Expression, ...]:
-    """The terms with other values of some constants; with the ranges that were found, where these are given."""
-    constants = constants_of(terms) if located is None else {**constants_of(terms), **located}
-    found = {name: replace(constants[name], value=value) for name, value in values.items() if name in constants}
-    return tuple(term.with_unknowns(found) for term in terms)
-
-
-def _with_terms(motion: Motion, task: Task, terms: tuple[Expression, ...]) -> Task:
-    """The task with terms of other values; priors that were wider than at first stay so."""
-    layout = replace(task.layout, terms=terms)
-    former = precision_of_terms(motion, task.layout)
-    wider = float(np.median(task.precision / former))
-    return replace(task, layout=layout, precision=wider * precision_of_terms(motion, layout), recent=[])
-
-
-def _choices(terms: Sequence[Expression]) -> dict[str, list[int]]:
-    """Members of each either-or, as numbers of terms."""
-    out: dict[str, list[int]] = {}
-    for j, term in enumerate(terms):
-        if term.choice:
-            out.setdefault(term.choice, []).append(j)
-    return {choice: members for choice, members in out.items() if len(members) > 1}
-
-
-def _allowed(task: Task) -> Bools:
-    return np.asarray(task.log_odds.reshape(task.layout.chains, -1)[:, :-1] > -np.inf)
-
-
 def _of_law(task: Task, family: Sequence[int]) -> bool:
     """Whether terms of a family are laws of hidden states, which were found along the record."""
     stated = [chain.stated for chain in task.layout.roles.chains]
-    return bool(_allowed(task)[np.ix_(stated, family)].any())
+    return bool(allowed_in(task)[np.ix_(stated, family)].any())
 
 
 def _is_active(task: Task, j: int) -> bool:
-    return bool(_allowed(task)[:, j].any())
+    return bool(allowed_in(task)[:, j].any())

@@ -1,4 +1,4 @@
-"""The normal distribution, Student's t, the regularised incomplete beta function, and the spread of correlated sums."""
+"""The normal distribution, Student's t, the regularised incomplete beta function, and what is correlated."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from bayeq.arrays import Floats
 from bayeq.numerics.settings import LIKELIHOOD
@@ -24,7 +24,7 @@ class Shape(NamedTuple):
     normality: float
 
 
-def shape_of(e: NDArray[np.float64], third: float = 1.0, fourth: float = 1.0) -> Shape:
+def shape_of(e: Floats, third: float = 1.0, fourth: float = 1.0) -> Shape:
     """The shape of numbers of mean 0, (n,) and not all 0, beside that of a normal distribution.
 
     `third` and `fourth` are sums of these powers of their autocorrelations over all lags (Lobato and Velasco 2004); 1
@@ -37,7 +37,7 @@ def shape_of(e: NDArray[np.float64], third: float = 1.0, fourth: float = 1.0) ->
     return Shape(skewness, kurtosis, math.exp(-0.5 * statistic))
 
 
-def t_quantile(freedom: ArrayLike, z: float = Z95) -> NDArray[np.float64]:
+def t_quantile(freedom: ArrayLike, z: float = Z95) -> Floats:
     """Quantile of Student's t where the normal has its own at z, by Abramowitz and Stegun 26.7.5.
 
     Of 3 degrees of freedom or more (within 1 %); infinitely many of the normal.
@@ -87,11 +87,26 @@ def incomplete_beta(a: float, b: float, x: float) -> float:
     return math.exp(log_front) * fraction / a
 
 
-def excess_of(scores: Sequence[Floats]) -> tuple[float, float]:
-    """tr(J)/r of scores whose stated covariance is the identity, and its standard error were they independent.
+def correlation(first: Sequence[Floats], second: Sequence[Floats]) -> Floats:
+    """Sum over pieces and rows of first(t + k) second(t), at k = 0, 1, ... below the length of the longest piece."""
+    longest = max(len(piece) for piece in first)
+    size = 1 << (2 * longest - 1).bit_length()
+    out = np.zeros(longest)
+    for a, b in zip(first, second, strict=True):
+        out[: len(a)] += np.fft.irfft(np.fft.rfft(a, size) * np.fft.rfft(b, size).conj(), size)[: len(a)]
+    return out
 
-    Scores, (n, r) each, are of uninterrupted pieces.
-    """
+
+def memory_of(covariance: Floats, n: int) -> tuple[float, float]:
+    """Autocorrelation at lag 1 and effective sample size of n residuals, from sums of products at lags 0, 1, ..."""
+    rho = covariance / covariance[0] if covariance[0] > 0 else np.zeros(1)
+    negative = np.flatnonzero(rho <= 0)
+    last = int(negative[0]) if len(negative) else len(rho)
+    return float(rho[1]) if len(rho) > 1 else 0.0, n / (1.0 + 2.0 * float(rho[1:last].sum()))
+
+
+def excess_of(scores: Sequence[Floats]) -> tuple[float, float]:
+    """tr(J)/r of scores, (n, r) each, whose stated covariance is the identity, and its standard error."""
     r, longest = scores[0].shape[1], max(map(len, scores))
     excess, square, lag = sum(float(np.sum(one**2)) for one in scores) / r, 0.0, 0
     while lag < min(LIKELIHOOD.correlated_lags * excess, longest - 1):

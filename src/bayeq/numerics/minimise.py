@@ -150,11 +150,7 @@ def _at(fun: Objective, x: Floats) -> _Point:
 
 
 def _search(fun: Objective, box: _Box, here: _Point, direction: Floats) -> _Point | None:
-    """A point on the projected path with a sufficient decrease; None if there is none.
-
-    The step is cut by quadratic interpolation where the decrease does not suffice, and grows where the slope along the
-    path has hardly changed.
-    """
+    """A point on the projected path with a sufficient decrease, the step cut or grown; None if there is none."""
     low, high, t = 0.0, math.inf, 1.0
     best = None
     for _ in range(TRIALS):

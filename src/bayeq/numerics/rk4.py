@@ -54,16 +54,14 @@ def check_interpolation(kind: object) -> None:
 
 
 def interpolant(time: Floats, samples: Floats, kind: Interpolation) -> Floats:
-    """Inputs (n, m) between their samples, as a cubic polynomial in each sampling interval.
+    """Inputs (n, m) between their samples, as a cubic polynomial in each sampling interval, (n, m, 4).
 
-    "cubic" is a spline, for forces that are smooth between their samples; "linear" straight lines; "hold" the last
-    sample, for commands that are switched; "band-limited" the cubic through what the transform of even samples gives at
-    the thirds of each interval, for forces with frequencies up to near half the sampling rate (a spline where steps are
-    uneven).
+    "cubic" is a spline; "linear" straight lines; "hold" the last sample, for commands that are switched; "band-limited"
+    the cubic through what the transform of even samples gives at the thirds of each interval, for forces with
+    frequencies up to near half the sampling rate (a spline where steps are uneven).
 
-    Returned are (n, m, 4) the values p, q at both ends of each interval, and r, s of the deviation from the straight
-    line between them: in the fraction w of the interval, ``(1 - w) p + w q + w (1 - w) (r + w s)``. Constant after the
-    last sample.
+    The four are the values p, q at both ends of each interval, and r, s of the deviation from the straight line
+    between: in the fraction w of it, ``(1 - w) p + w q + w (1 - w) (r + w s)``. Constant after the last sample.
     """
     out = np.zeros((*samples.shape, 4))
     out[:, :, 0] = out[:, :, 1] = samples
@@ -89,10 +87,7 @@ def with_time(time: Floats, inputs: Floats) -> Floats:
 
 
 def _thirds(samples: Floats) -> Floats:
-    """Samples (n, m) and what their transform gives at the thirds between them, (3 n - 2, m).
-
-    The straight line between the ends is taken out, and the rest continued as an odd function about both.
-    """
+    """Samples (n, m) and the transform's values at the thirds between, but for a straight line, (3 n - 2, m)."""
     n = len(samples)
     line = np.linspace(samples[0], samples[-1], 3 * n - 2)
     rest = samples - line[::3]
@@ -108,9 +103,8 @@ def slope_at(
 ) -> None:
     """Right-hand side at `x`, at a fraction (0 to 1) of the interval after the sample `row`, into `slope`.
 
-    `x` (d (1 + q),) holds the state, then its derivatives along q directions, state by state, and `slope` (d (1 + q),)
-    receives the derivatives of `x` by time. Inputs (n, m, 4) are those of `interpolant`. Tangents (registers, q) are as
-    for `run_tape`; None for q = 0.
+    `x` and `slope`, (d (1 + q),), hold the state, then its derivatives along q directions, state by state. Tangents
+    (registers, q) are as for `run_tape`; None for q = 0.
     """
     registers, rest = program.registers, 1.0 - fraction
     size = x.shape[0] if tangents is None else x.shape[0] // (1 + tangents.shape[1])
@@ -135,10 +129,7 @@ def slope_at(
 def advance(
     program: Program, inputs: Floats, row: int, interval: float, substeps: int, tangents: Floats | None, work: Floats
 ) -> None:
-    """From the sample `row` to the next, by classical Runge-Kutta steps: the state ``work[0]`` is moved on.
-
-    Without any steps the program gives the next state itself.
-    """
+    """From the sample `row` to the next, by Runge-Kutta steps, of a map by none: the state ``work[0]`` is moved on."""
     size = work.shape[1]
     x, y, k1, k2, k3, k4 = work[0], work[1], work[2], work[3], work[4], work[5]
     if substeps == 0:
@@ -175,12 +166,11 @@ def steps_in(interval: float, step: float) -> int:
 def free_runs(
     program: Program, drive: Drive, parameters: Floats, current: Floats, stopped: IndexArray, out: Floats
 ) -> None:
-    """Integrate ``dx/dt = f(x, u; theta)`` from several states, each with parameters of its own.
+    """Integrate ``dx/dt = f(x, u; theta)`` from several states, each with parameters of its own (runs, p).
 
-    The program is that of a tape in states, inputs and parameters (runs, p); its registers are changed. The drive is
-    common to the runs. `current` (runs, d) holds the states at the first sample, and afterwards those at the last, so
-    that the next call can go on. `stopped` (runs,) is 0 for a run that goes on, and set to the row (counted from 1) at
-    which a run left its range. `out` (runs, n, d) receives the states at the samples, NaN from where a run stopped.
+    `current` (runs, d) holds the states at the first sample, and afterwards those at the last, so that the next call
+    can go on. `stopped` (runs,) is 0, or the row (counted from 1) at which a run left its range. `out` (runs, n, d)
+    receives the states at the samples, NaN from where a run stopped.
     """
     runs, n, size = out.shape
     first = size + drive.inputs.shape[1]
@@ -210,11 +200,7 @@ def free_runs(
 
 @kernel
 def local_errors(program: Program, drive: Drive, states: Floats, scale: Floats, out: Floats) -> None:
-    """What half the step changes in each sampling interval, started from given states (n, d).
-
-    `out` (n - 1,) receives the largest difference of any state, in units `scale` (d,) of each; compared are twice as
-    many steps as the drive has. The parameters are in the program's registers.
-    """
+    """What half the step changes in each interval from given states (n, d), the most in units `scale` (d,)."""
     size = states.shape[1]
     coarse = np.empty((STAGES, size))
     fine = np.empty((STAGES, size))

@@ -33,8 +33,6 @@ LEAST_ABOVE = 20
 def listed(names: Sequence[str] | str) -> list[str]:
     """Names as a list; a single string is split at its commas.
 
-    Examples
-    --------
     >>> listed("x, acc [g]")
     ['x', 'acc [g]']
     """
@@ -45,8 +43,6 @@ def listed(names: Sequence[str] | str) -> list[str]:
 class Headers:
     """Names of columns: as written, as cleaned, and their units.
 
-    Examples
-    --------
     >>> headers = Headers.parse(["Time [s]", "x (mm)"], "run.csv")
     >>> headers.find("Time [s]"), headers.find("Time"), headers.time
     (0, 0, 0)
@@ -309,11 +305,7 @@ RATE_NAMES = (
 def assemble(
     data: Columns, request: Request, units: Mapping[str, str] | None = None, name: str | None = None
 ) -> list[dict[str, Any]]:
-    """What a `Record` is made of, of columns that are named as the request has it.
-
-    One for each run of equal values of the request's group. `units` are those of columns, instead of the stated ones;
-    `name` labels the records.
-    """
+    """What records are made of, one for each run of equal values of the group; `units` come before stated ones."""
     where, time, fs, group = data.headers.where, request.time, request.fs, request.group
     for doubt in data.doubts:
         warnings.warn(doubt, DataWarning, stacklevel=3)  # the caller of `read` or `Record.from_dataframe`
@@ -380,9 +372,7 @@ def assemble(
     return trials
 
 
-def find_time(
-    data: Columns, units: Mapping[int, str | None], time: str | None = None, fs: float | None = None
-) -> int | None:
+def find_time(data: Columns, units: Mapping[int, str | None], time: str | None, fs: float | None) -> int | None:
     """The column that is time: the one named, else by its name, else the first rising one in a unit of time."""
     if fs is not None:
         return None

@@ -266,15 +266,13 @@ def goes_with(dt: float, orders: tuple[int, int], p: Floats, q: Floats, force: F
 
 
 def shift_of(p: Floats, q: Floats, order: int, frames: Frames, gain: float, gain_error: float = 0.0) -> Shift:
-    """Offset and drift of a channel q against `gain` times the `order`-th derivative of p.
-
-    The standard error of the gain counts where the derivative has a mean, or a trend: that of a shaft that turns.
-    """
+    """Offset and drift of a channel q against `gain` times the `order`-th derivative of p."""
     some = frames._replace(starts=frames.starts[:: OVERLAP // 2])  # that overlap by half
     size, level = float(np.ptp(q)), float(q.mean())
     expected = _local_means(gain / size * p, order, some)
     means = _local_means((q - level) / size, 0, some) + level / size
     offset, drift = _line(means - expected, some)
+    # the error of the gain counts where the derivative has a mean, or a trend: that of a shaft that turns
     mean_error, trend_error = (gain_error / gain * value for value in _line(expected, some))
     t = (some.starts - some.starts.mean()) * some.dt
     count = len(t)

@@ -140,7 +140,7 @@ def check_record(
         found += _kinematics(record, usable, [name for name in inputs if whole[name]])
     for name in dict.fromkeys((*names, *inputs)):
         if whole[name] and record.n >= LEAST_ROWS_TO_CHECK:
-            clipped = _clipped(name, record[name], shut=name in inputs)
+            clipped = list(_clipped(name, record[name], shut=name in inputs))
             found += clipped or _repeated(name, record[name], shut=name in inputs)
             found += () if name in inputs else _interpolated(record, name)
     found += _again(record, [name for name in dict.fromkeys((*names, *inputs)) if whole[name]])
@@ -458,12 +458,12 @@ def equal_runs(values: Floats | Bools) -> tuple[NDArray[np.intp], NDArray[np.int
 
 
 class Clipping(NamedTuple):
-    """An extreme that samples stay at: the level, how many are there, and how many of them in a row at most."""
+    """An extreme that samples stay at."""
 
-    which: str
+    which: str  # greatest or least
     level: float
-    samples: int
-    longest: int
+    samples: int  # how many are there
+    longest: int  # how many of them in a row at most
 
 
 def clipped_levels(values: Floats, shut: bool = False) -> list[Clipping]:
@@ -496,17 +496,10 @@ def clipped_levels(values: Floats, shut: bool = False) -> list[Clipping]:
     return found
 
 
-def _clipped(name: str, values: Floats, shut: bool) -> list[Finding]:
-    return [
-        Finding(
-            "clipping",
-            (name,),
-            f"{name} is clipped: {one.samples:d} samples at its {one.which} value {one.level:.4g},"
-            f" {one.longest:d} in a row; measure in a wider range",
-            one.level,
-        )
-        for one in clipped_levels(values, shut)
-    ]
+def _clipped(name: str, values: Floats, shut: bool) -> Iterator[Finding]:
+    for one in clipped_levels(values, shut):
+        at = f"{one.samples:d} samples at its {one.which} value {one.level:.4g}, {one.longest:d} in a row"
+        yield Finding("clipping", (name,), f"{name} is clipped: {at}; measure in a wider range", one.level)
 
 
 def _repeated(name: str, values: Floats, shut: bool) -> Iterator[Finding]:

@@ -37,8 +37,6 @@ def replacing(path: Path) -> Iterator[Path]:
 
     What is not a regular file (a pipe, a device) is written directly. An OSError names `path`.
 
-    Examples
-    --------
     >>> import tempfile
     >>> target = Path(tempfile.mkdtemp()) / "a.txt"
     >>> with replacing(target) as part:
@@ -319,8 +317,6 @@ def as_record(source: Any, t: Any = None) -> Record:
     `sampling_time` [s] is its time step. `t` is the column that is time, or sampling times [s], (n,), for arrays. An
     InputError refuses anything else, and a `t` that does not go with it.
 
-    Examples
-    --------
     >>> as_record({"t": [0.0, 0.5, 1.0], "x [mm]": [1.0, 2.0, 4.0]})
     Record(3 rows at 2 Hz; x [mm])
     >>> as_record({"x": [1.0, 2.0, 4.0]}, t=[0.0, 0.1, 0.2])

@@ -50,8 +50,6 @@ _UNIT = re.compile(r"^(?P<name>.*?)\s*(?:\[(?P<square>[^\[\]]*)\]|\((?P<round>[^
 def clean_name(header: str, position: int = 1) -> tuple[str, str | None]:
     """A column header as a name that terms can use, by its place if it is empty, and the unit in brackets at its end.
 
-    Examples
-    --------
     >>> clean_name("x [m]"), clean_name("acc-1"), clean_name("Time (s)")
     (('x', 'm'), ('acc_1', None), ('Time', 's'))
     >>> clean_name("sin"), clean_name("2nd mass"), clean_name("", position=3)
@@ -73,8 +71,6 @@ def clean_name(header: str, position: int = 1) -> tuple[str, str | None]:
 def channel_name(text: str) -> str:
     """A channel by its name or by its header in the file, such as ``Displ. (m)``.
 
-    Examples
-    --------
     >>> channel_name("x"), channel_name("Displ. (m)"), channel_name("")
     ('x', 'Displ', '')
     """
@@ -98,8 +94,6 @@ def _identifier(text: str, position: int) -> str:
 def clean_names(headers: Iterable[str]) -> tuple[list[str], list[str | None]]:
     """Clean several headers; the second of two equal names gets ``_2``, the third ``_3``.
 
-    Examples
-    --------
     >>> clean_names(["t [s]", "w1", "w1", ""])
     (['t', 'w1', 'w1_2', 'c4'], ['s', None, None, None])
     """
@@ -121,8 +115,6 @@ def clean_names(headers: Iterable[str]) -> tuple[list[str], list[str | None]]:
 def is_time_name(name: str) -> bool:
     """Whether a channel name says that the column is time: ``t`` or ``time`` in the usual languages, in any case.
 
-    Examples
-    --------
     >>> [is_time_name(name) for name in ("Zeit", "time_ms", "Elapsed_Time", "Timer", "index")]
     [True, True, True, False, False]
     """
@@ -132,8 +124,6 @@ def is_time_name(name: str) -> bool:
 def time_unit(name: str) -> str | None:
     """The unit that a time's name ends in.
 
-    Examples
-    --------
     >>> time_unit("time_ms"), time_unit("Zeit"), time_unit("x_ms"), time_unit("Year"), time_unit("Tag")
     ('ms', None, None, 'year', 'd')
     """
@@ -144,8 +134,6 @@ def time_unit(name: str) -> str | None:
 def rate_and_length(rate: str, length: str, clock: str) -> tuple[str, str]:
     """A rate and a length of time as text, by the unit of time.
 
-    Examples
-    --------
     >>> rate_and_length("200", "4", "s"), rate_and_length("1", "81", "year")
     (('200 Hz', '4 s'), ('1 per year', '81 years'))
     >>> rate_and_length("1e-05", "864000", "s")
@@ -160,8 +148,6 @@ def rate_and_length(rate: str, length: str, clock: str) -> tuple[str, str]:
 def unit_of_clock(unit: str) -> str:
     """A unit of time that is no number of seconds, as it is written.
 
-    Examples
-    --------
     >>> unit_of_clock("Jahre"), unit_of_clock("month")
     ('year', 'month')
     """
@@ -223,8 +209,6 @@ _CHANNELS, _NO_NAMES = frozenset("AdhlLtTWC"), frozenset({"m", "mm", "cm", "um",
 def unit_in_name(header: str) -> str | None:
     """The unit that a header without brackets ends in, as DIN 1313 and habit write it; None where it may be a word.
 
-    Examples
-    --------
     >>> unit_in_name("disp_mm"), unit_in_name("vel_mm_s"), unit_in_name("Kraft/kN"), unit_in_name("acc_g")
     ('mm', 'mm/s', 'kN', 'g')
     >>> unit_in_name("motor_A"), unit_in_name("F/A"), unit_in_name("u_in"), unit_in_name("m/s"), unit_in_name("x_m")
@@ -244,8 +228,6 @@ def unit_in_name(header: str) -> str | None:
 def require_unit(text: str, where: str) -> None:
     """Check that a unit is made of known symbols; the InputError begins with `where`, and offers the nearest ones.
 
-    Examples
-    --------
     >>> require_unit("m/s^2", "--units a=m/s^2")
     """
     for symbol in parse_unit(text):
@@ -259,8 +241,6 @@ def require_unit(text: str, where: str) -> None:
 def gain_and_unit(text: str, own: str | None = None) -> tuple[float, str | None]:
     """A gain other than 0 and the unit behind it; a number alone is the gain of a channel that keeps its `own` unit.
 
-    Examples
-    --------
     >>> gain_and_unit("10 g"), gain_and_unit("-2.5", "mm"), gain_and_unit("m/s^2"), gain_and_unit("1")
     ((10.0, 'g'), (-2.5, 'mm'), (1.0, 'm/s^2'), (1.0, '1'))
     """
@@ -276,8 +256,6 @@ def gain_and_unit(text: str, own: str | None = None) -> tuple[float, str | None]
 def conversion(stated: str, wanted: str) -> float | None:
     """By what numbers in one unit are multiplied to be in another; None where that is not known.
 
-    Examples
-    --------
     >>> conversion("mm", "m"), conversion("g", "m/s^2"), conversion("kN", "N"), conversion("m", "N")
     (0.001, 9.80665, 1000.0, None)
     """
@@ -288,8 +266,6 @@ def conversion(stated: str, wanted: str) -> float | None:
 def parse_unit(text: str) -> Unit:
     """Exponents of a unit's symbols; text that is no product of powers is a symbol itself.
 
-    Examples
-    --------
     >>> {symbol: int(power) for symbol, power in parse_unit("m/s²").items()}
     {'m': 1, 's': -2}
     """
@@ -325,8 +301,6 @@ def multiply_units(unit: Unit, other: Unit, power: Fraction | int = 1) -> Unit:
 def derivative_ratio(below: str, above: str, order: int) -> float | None:
     """How large a channel is against a derivative of another by their units; None of units that are no such pair.
 
-    Examples
-    --------
     >>> derivative_ratio("mm", "m/s", 1), derivative_ratio("m", "m/s^2", 2), derivative_ratio("m", "N", 2)
     (0.001, 1.0, None)
     """

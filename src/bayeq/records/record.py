@@ -12,19 +12,9 @@ import numpy as np
 
 from bayeq.arrays import Floats
 from bayeq.errors import RecordError, UnknownNameError, require_kind
+from bayeq.records import validate
 from bayeq.records.columns import Columns, Headers, Request, assemble
 from bayeq.records.names import conversion, unit_of_clock
-from bayeq.records.validate import (
-    as_column,
-    as_time,
-    check_name,
-    check_time,
-    checked_units,
-    even_step,
-    time_from,
-    trial_starts,
-    usual_step,
-)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -32,12 +22,8 @@ if TYPE_CHECKING:
 
 def frozen_array(values: Any) -> Floats:
     """A read-only float64 array: the one given if it is frozen, else a copy."""
-    if (
-        isinstance(values, np.ndarray)
-        and values.dtype == np.float64
-        and values.flags.c_contiguous
-        and _is_frozen(values)
-    ):
+    plain = isinstance(values, np.ndarray) and values.dtype == np.float64 and values.flags.c_contiguous
+    if plain and _is_frozen(values):
         return values
     array = np.array(values, dtype=np.float64, order="C")
     array.setflags(write=False)
@@ -109,11 +95,6 @@ class Truth:
         ----------
         rows : slice, (n,) bool array or array of int
             Which rows.
-
-        Returns
-        -------
-        Truth
-            Of these rows.
         """
         return replace(self, clean={name: values[rows] for name, values in self.clean.items()})
 
@@ -173,9 +154,9 @@ class Record:
             raise RecordError(f"{where}: no channels")
         channels = {}
         for name, values in self.channels.items():
-            check_name(name, where)
-            channels[name] = frozen_array(as_column(values, f"channel {name!r}", where))
-        time = None if self.time is None else frozen_array(as_time(self.time, where))
+            validate.check_name(name, where)
+            channels[name] = frozen_array(validate.as_column(values, f"channel {name!r}", where))
+        time = None if self.time is None else frozen_array(validate.as_time(self.time, where))
         lengths = {name: len(values) for name, values in channels.items()}
         if time is not None:
             lengths = {"time": len(time), **lengths}
@@ -186,8 +167,8 @@ class Record:
         if n == 0:
             raise RecordError(f"{where}: no rows")
         if time is not None:
-            check_time(time, where)
-        units = checked_units(self.units, channels, time is not None, where)
+            validate.check_time(time, where)
+        units = validate.checked_units(self.units, channels, time is not None, where)
         for name, values in (self.truth.clean if self.truth else {}).items():
             if values.shape != (n,):
                 raise RecordError(f"{where}: the clean channel {name!r} has shape {values.shape}, not ({n},)")
@@ -235,7 +216,7 @@ class Record:
         require_kind({} if mapping is None else mapping, Mapping, "channels", "a mapping such as {'x': [...]}")
         require_kind(name, str, "the name of a record", "text")
         every = {**(mapping or {}), **channels}
-        return cls(every, time_from(every, time, fs, name or "record"), {} if units is None else units, name)
+        return cls(every, validate.time_from(every, time, fs, name or "record"), {} if units is None else units, name)
 
     @classmethod
     def from_dataframe(
@@ -315,7 +296,7 @@ class Record:
         """
         if self.time is None or self.n < 2:
             return None
-        return even_step(self.time) or usual_step(self.time)
+        return validate.even_step(self.time) or validate.usual_step(self.time)
 
     @property
     def fs(self) -> float | None:
@@ -337,7 +318,7 @@ class Record:
 
     def is_uniform(self) -> bool:
         """Whether all time steps are the same to a thousandth; False without time."""
-        return self.time is not None and (self.n < 2 or even_step(self.time) is not None)
+        return self.time is not None and (self.n < 2 or validate.even_step(self.time) is not None)
 
     def slice(self, start: int | None = None, stop: int | None = None, step: int | None = None) -> Record:
         """Rows from `start` up to `stop`, as Python slices.
@@ -346,11 +327,6 @@ class Record:
         ----------
         start, stop, step : int, optional
             Row numbers from 0, as of a slice.
-
-        Returns
-        -------
-        Record
-            Of these rows.
 
         Examples
         --------
@@ -366,11 +342,6 @@ class Record:
         ----------
         rows : slice, (n,) bool array or array of int
             Which rows.
-
-        Returns
-        -------
-        Record
-            Of these rows.
         """
         channels = {name: values[rows] for name, values in self.channels.items()}
         time = None if self.time is None else self.time[rows]
@@ -397,7 +368,7 @@ class Record:
             kept = replace(self, channels=channels, units=units)
         else:
             labels = group(self) if callable(group) else group
-        starts = trial_starts(labels, self.n, self.name or "record")
+        starts = validate.trial_starts(labels, self.n, self.name or "record")
         trials = [kept.slice(a, b) for a, b in zip(starts, [*starts[1:], self.n], strict=True)]
         return [r.renamed(f"{self.name} [trial {i}]".strip()) for i, r in enumerate(trials)]
 
@@ -408,11 +379,6 @@ class Record:
         ----------
         name : str
             The new name.
-
-        Returns
-        -------
-        Record
-            With the same samples.
         """
         return replace(self, name=name)
 
@@ -427,11 +393,6 @@ class Record:
             Samples by name.
         units : mapping of str to str, optional
             Units by name.
-
-        Returns
-        -------
-        Record
-            With the channels that there were and these.
         """
         kept = {name: unit for name, unit in self.units.items() if name not in mapping}
         channels = {**self.channels, **mapping}
@@ -467,11 +428,6 @@ class Record:
         ----------
         other : Record
             The record that is compared; anything else is not equal.
-
-        Returns
-        -------
-        bool
-            Whether they are equal, sample by sample.
         """
         if not isinstance(other, Record) or self.names != other.names or self.units != other.units:
             return False

@@ -121,8 +121,6 @@ def _shortest_period(times: Sequence[Floats], stretches: Sequence[Floats], step:
 def counts_rows(record: Record) -> bool:
     """Whether the time of a record is the number of the row.
 
-    Examples
-    --------
     >>> [counts_rows(one) for one in with_row_numbers([Record({"x": [1.0, 2.0, 3.0, 5.0, 6.0, 7.0]})])]
     [True]
     """
@@ -293,11 +291,6 @@ def join(first: Record, *others: Record) -> Record:
     *others : Record
         Records with other channels.
 
-    Returns
-    -------
-    Record
-        Channels of all records.
-
     Raises
     ------
     RecordError
@@ -330,9 +323,8 @@ def join(first: Record, *others: Record) -> Record:
             )
         _check_rates(first, other)
         channels = {name: _at(times[0][rows], other, name) for name in other.names}
-        joined = joined.with_channels(
-            channels, {name: other.units[name] for name in other.names if name in other.units}
-        )
+        units = {name: other.units[name] for name in other.names if name in other.units}
+        joined = joined.with_channels(channels, units)
     return joined.renamed(" + ".join(record.name for record in (first, *others) if record.name))
 
 

@@ -44,8 +44,6 @@ class Stream(Protocol):
 def units_between(bounds: Sequence[int], start: int, stop: int) -> list[tuple[int, int]]:
     """The units of rows `start` to `stop`, the first and the last cut short.
 
-    Examples
-    --------
     >>> units_between((0, 4, 8, 10), 2, 9)
     [(2, 4), (4, 8), (8, 9)]
     """

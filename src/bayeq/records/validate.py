@@ -106,8 +106,6 @@ def is_step(time: Floats, step: float, tolerance: float = EVEN) -> Bools:
 def even_step(*times: Floats) -> float | None:
     """The step of even sampling, the same in all records; None of uneven steps, or where there is no step.
 
-    Examples
-    --------
     >>> even_step(np.array([0.0, 0.1, 0.2])), even_step(np.array([0.0, 0.1, 0.3]))
     (0.1, None)
     """
@@ -127,8 +125,6 @@ ALIKE, LOOKED_AT, LEVELS = 0.2, 1000, 3
 def usual_step(time: Floats) -> float:
     """The median step of uneven sampling; of times that were rounded the one of the line through them.
 
-    Examples
-    --------
     >>> round(1 / usual_step(np.round(np.delete(np.arange(300), range(90, 99)) / 30, 3)), 4)
     30.0
     """
@@ -157,8 +153,6 @@ SECONDS: Mapping[str, float] = {
 def other_step(values: Floats, unit: str, fs: float) -> float | None:
     """The median step [s] of a column that looks like time, where it rises, and not at a rate of fs to 1 %.
 
-    Examples
-    --------
     >>> ms = np.arange(5.0)
     >>> other_step(ms, "ms", 500.0), other_step(ms, "ms", 1000.0)
     (0.001, None)

@@ -14,7 +14,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayeq.arrays import Bools, Floats
 from bayeq.errors import ExpressionError, InputError, UnknownNameError
@@ -49,7 +48,7 @@ class Constraints:
         return bool(np.isfinite(self.limits).any()) or len(self.equalities.eliminated) > 0
 
     @property
-    def concerned(self) -> NDArray[np.bool_]:
+    def concerned(self) -> Bools:
         """Terms that something is known of, (P,)."""
         out = limited(self.limits)
         out[self.equalities.eliminated] = True
@@ -58,7 +57,7 @@ class Constraints:
         return out
 
     @property
-    def forced(self) -> NDArray[np.bool_]:
+    def forced(self) -> Bools:
         """Terms that are in wherever they may be, for their limits exclude zero, (P,)."""
         return (self.limits[:, 0] > 0.0) | (self.limits[:, 1] < 0.0)
 
@@ -68,11 +67,8 @@ class Constraints:
         bounded = (signs_of(self.limits) == 0)[:, None]
         return np.where(bounded, self.limits, [-np.inf, np.inf]) if (bounded & np.isfinite(self.limits)).any() else None
 
-    def among(self, allowed: NDArray[np.bool_]) -> Constraints:
-        """The same with the coefficients of terms that are not `allowed`, (P,), zero; what ties these alone is no part.
-
-        An InputError says that what is known contradicts that, or that no term is left.
-        """
+    def among(self, allowed: Bools) -> Constraints:
+        """The same with terms that are not `allowed`, (P,), zero, and without what ties these alone."""
         if allowed.all():
             return self
         known = self.equalities
@@ -90,9 +86,8 @@ class Constraints:
     def prior(self, prior: Prior, unit: Floats | float = 1.0) -> Prior:
         """A prior of all terms, with the limits, as one of the F terms that the equalities leave.
 
-        A coefficient times `unit`, (F,), is its value in units of the regression, which bounds of the prior are in. An
-        InputError refuses limits that contradict each other or the equalities, or that concern a sum of several
-        coefficients.
+        A coefficient times `unit`, (F,), is its value in units of the regression. An InputError refuses limits that
+        contradict each other or the equalities, or that concern a sum of several coefficients.
         """
         names, kept = self.equalities.names, self.equalities.kept
         prior.validate(len(names))
@@ -269,10 +264,8 @@ def parse_ties(
 
 
 def parse_conserved(text: str, chains: Sequence[Chain]) -> dict[int, float]:
-    """Read a sum of states that is conserved, ``"S + I + R"`` or ``"2*S + I"``: factors by the number of the equation.
-
-    An InputError refuses malformed text, or a state that is not the only one of its chain.
-    """
+    """A sum of states that is conserved, ``"S + I + R"`` or ``"2*S + I"``: factors by the number of the equation; an
+    InputError refuses malformed text, or a state that is not the only one of its chain."""
     where, states = f"conserve {text!r}", [chain.states[0] for chain in chains if chain.order == 1]
     plain = " + ".join(part.strip() for part in re.split("[,;]", text.partition("=")[0]))
     if plain != text.strip() and re.search("[=,;]", text):

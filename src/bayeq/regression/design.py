@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bayeq.arrays import Bools, Floats
+from bayeq.arrays import Bools, Floats, Ints
 from bayeq.dictionary import evaluate_terms
 from bayeq.dictionary.families import degree
 from bayeq.errors import InputError
@@ -57,7 +57,6 @@ NEARLY_NOTHING = 1e-8
 
 # Rounds in which each equation takes its share.
 ROUNDS = 20
-
 
 # Why a term is left out that another one is the same as.
 COPY = "a copy of {} on the data"
@@ -107,10 +106,10 @@ class Design:
 def build_design(
     terms: Sequence[Expression], motion: Motion, progress: Progress | None = None, allowed: Bools | None = None
 ) -> Design:
-    """Evaluate terms on motion and add up their Gram matrices.
+    """Evaluate terms on motion and add up their Gram matrices; `progress` is called with (rows done, rows in all).
 
-    `progress` is called with (rows done, rows in all); `allowed`, (C, P), are the candidates of each equation, by
-    default all. An InputError says that no candidate can be used, or that one cannot because of the unit of a channel.
+    `allowed`, (C, P), are the candidates of each equation, by default all. An InputError says that no candidate can be
+    used, or that one cannot because of the unit of a channel.
     """
     builder = _Builder(terms, motion, progress)
     train = builder.grams(motion.train, keep=sum(rows.n for rows in motion.train) * len(terms) <= MOST_KEPT)
@@ -121,7 +120,7 @@ def build_design(
     return usable_terms(found, builder.bad, builder.total)
 
 
-def usable_terms(design: Design, bad: NDArray[np.int64], rows: int) -> Design:
+def usable_terms(design: Design, bad: Ints, rows: int) -> Design:
     """A dictionary without the candidates that cannot be used.
 
     `bad`, (P,), is the number of rows, of some in all, in which each is not finite, or too large to square. An
@@ -210,7 +209,7 @@ def _require_units(terms: Sequence[Expression], motion: Motion) -> None:
                 )
 
 
-def _reasons(gram: Gram, bad: NDArray[np.int64], rows: int, allowed: Bools) -> dict[int, str]:
+def _reasons(gram: Gram, bad: Ints, rows: int, allowed: Bools) -> dict[int, str]:
     """Why each unusable column is left out; a copy is, if every equation that it is for may have the other."""
     sd = gram.standard_deviation
     out: dict[int, str] = {}
@@ -246,10 +245,7 @@ def screened(terms: Sequence[Expression], motion: Motion, allowed: Bools, forced
 
 
 def explaining(D: Floats, y: Floats, free: Bools, basis: Floats, share: int) -> NDArray[np.intp]:
-    """Numbers of the columns that explain most of what a basis leaves of y, taken in rounds.
-
-    `share` of the `free` columns of D, (n, P), each of length 1 or 0, are taken; the basis, (n, q), is orthonormal.
-    """
+    """Numbers of the columns that explain most of what a basis (n, q) leaves of y: a share of the `free`, in rounds."""
     taken = np.zeros(0, dtype=np.intp)
     free, added, left = free.copy(), basis, y
     rest = np.ones(D.shape[1])  # squared length of what the basis leaves of each column
@@ -271,8 +267,6 @@ def explaining(D: Floats, y: Floats, free: Bools, basis: Floats, share: int) -> 
 
 def _independent(columns: Floats) -> Floats:
     """An orthonormal basis of some columns."""
-    if not columns.shape[1]:
-        return columns
     left, size, _ = np.linalg.svd(columns, full_matrices=False)
     return np.asarray(left[:, size > 1e-10])
 

@@ -86,10 +86,8 @@ class Equalities:
 
     @classmethod
     def solving(cls, names: Sequence[str], equations: Sequence[tuple[Linear, str]]) -> Equalities:
-        """Solve equations (a combination that is zero, and where it was stated), each for its first term if it can be.
-
-        An InputError refuses equations that contradict each other, or that leave no term to find.
-        """
+        """Solve equations (a combination that is zero, and where it was stated), each for its first term if it can
+        be; an InputError refuses those that contradict each other, or leave no term to find."""
         solved: dict[int, Linear] = {}
         for equation, where in equations:
             rest = equation
@@ -116,10 +114,7 @@ class Equalities:
         return cls(tuple(names), kept, eliminated, slopes[:, kept], offsets)
 
     def reduce(self, gram: Gram) -> Gram:
-        """Statistics of y - D_e q on D_k + D_e C; those of `gram` itself if there are no equations.
-
-        Columns that cancel but for rounding are columns of zeros.
-        """
+        """Statistics of y - D_e q on D_k + D_e C; columns that cancel but for rounding are columns of zeros."""
         if not len(self.eliminated):
             return gram
         k, e, C, q = self.kept, self.eliminated, self.slopes, self.offsets
@@ -148,8 +143,7 @@ class Equalities:
     def expand(self, posterior: Posterior, gram: Gram) -> Posterior:
         """The posterior of all P coefficients from that of the reduced regression; `gram` is the one before `reduce`.
 
-        An eliminated term is in where a constant or one of the terms that it follows from is: so are its PIP (from the
-        models averaged over or the draws; without them the largest PIP of those terms) and its place in the support.
+        An eliminated term is in where a constant or one of the terms that it follows from is.
         """
         if not len(self.eliminated):
             return posterior

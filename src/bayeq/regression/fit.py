@@ -88,10 +88,11 @@ class RegressionFit:
         return replace(found, details=replace(found.details, bounds=self.constraints.bounds))
 
     def beyond_bounds(self, most: float) -> dict[str, tuple[float, float, float]]:
-        """Terms whose coefficients would be further beyond their bounds than `most` standard deviations without these.
+        """Terms beyond bounds by more than `most` standard deviations without these: bound, coefficient, and by how
+        many.
 
-        Each with its bound, the coefficient beside the included terms, and by how many; or beside those of the
-        likeliest model without bounds, where the evidence is against the bound.
+        Coefficients are those beside the included terms, or, of a bound that is contradicted, beside the likeliest
+        model.
         """
         bounds, kept, names = self.constraints.bounds, self.constraints.equalities.kept, self.standard.gram.names
         found: dict[str, tuple[float, float, float]] = {}
@@ -133,9 +134,7 @@ def fit_regression(
 
     Equalities are taken out before inference; signs and bounds go into the prior. That is on standardised columns, the
     target in units of the least-squares residual; by default p_0 = 0.1 and a slab variance v_s that maximises the
-    evidence, at least 10. The likelihood is raised to the power `coarsen`, above 0 and at most 1. Beside that of rows
-    the terms may lack something of size `tolerance` (`bayeq.likelihood.spike`). `seed` is that of engines that draw
-    random numbers.
+    evidence. The likelihood is raised to the power `coarsen`; the terms may lack something of size `tolerance`.
     """
     regression = regression.raised(coarsen)
     reduced = constraints.equalities.reduce(regression.gram)
@@ -156,9 +155,9 @@ MOST_MODELS = 300
 def mixture_of(fit: RegressionFit, reported: Posterior, struck: Bools | None = None) -> Mixture | None:
     """The P coefficients over models, in original units, and after them the intercept, which is in all models.
 
-    `reported` is the posterior of one model, as it is reported: by the likelihood of the record by projection. Its
-    terms differ in other models by the same factor and change. Terms `struck`, (F,), are taken out of every model, the
-    others estimated again. None where no models are averaged, or none are listed that terms could be taken out of.
+    Those of `reported` differ in other models by the same factor and change. Terms `struck`, (F,), are taken out of
+    every model, the others estimated again. None where no models are averaged, or listed that terms are to be taken
+    from.
     """
     posterior, average, draws = fit.posterior, fit.posterior.average, fit.posterior.draws
     again = struck is not None and bool(struck.any())
@@ -242,7 +241,6 @@ EXACTLY = 1e-6
 # Methods that average over the models of all equations together.
 JOINT = ("auto", "bma")
 
-
 # Log odds of the constant otherwise: those of a term, p_0 = 0.1.
 CONSTANT = math.log(0.1 / 0.9)
 
@@ -260,8 +258,7 @@ def record_of(
 ) -> RecordFit | None:
     """The likelihood of the records of a design; None where it is not used, or cannot be evaluated.
 
-    Of constraints it takes what is stated of coefficients, equalities between them, and which terms are in for their
-    bounds; `ties` are between those of several equations, `others` the design at other starts of hidden states.
+    `ties` are between coefficients of several equations, `others` the design at other starts of hidden states.
     """
     if smooth != "auto" or not design.motion.smoothed:
         return None
@@ -283,10 +280,7 @@ def record_of(
 
 
 def sensors_of_design(design: Design, dictionary: Specification, prior: Prior | None) -> tuple[Sensors, float]:
-    """Lags and factors of channels, see `bayeq.likelihood.record_fit.learned_sensors`.
-
-    An InputError says that the likelihood cannot be evaluated.
-    """
+    """Lags and factors of channels, as `learned_sensors`; an InputError where the likelihood cannot be evaluated."""
     try:
         return learned_sensors(design.motion, design.terms, _log_odds(design, dictionary, prior), design.train)
     except np.linalg.LinAlgError:
@@ -340,11 +334,7 @@ def fit_equations(
     tolerance: float | None = None,
     seed: int | tuple[int, ...] = 0,
 ) -> list[RegressionFit]:
-    """The posterior of every equation: of all together where the method and what is known allow it.
-
-    There is one regression, and one of the constraints, per equation. The method is a row of
-    `bayeq.inference.engines.ENGINES`; what follows is as for `bayeq.regression.fit.fit_regression`.
-    """
+    """The posterior of every equation, of all together where the method allows it, otherwise by `fit_regression`."""
     record = regressions[0].record if isinstance(regressions[0], RecordRegression) else None
     free = prior is None and coarsen == 1.0 and not any(one.binding for one in constraints)
     if record is not None and method in JOINT and free:
@@ -364,10 +354,7 @@ def fit_equations(
 
 
 def refitted(fits: Sequence[RegressionFit], models: Sequence[Bools]) -> list[RegressionFit] | None:
-    """The same posteriors with the likelihood of the records about other models of the terms, (P,) bool each.
-
-    None where rows count, or where equalities tie coefficients: these have no fit of their own.
-    """
+    """The same posteriors with the likelihood about other models, (P,) bool each; None where rows count."""
     first = fits[0].regression
     if not isinstance(first, RecordRegression) or any(len(one.constraints.equalities.eliminated) for one in fits):
         return None

@@ -65,7 +65,6 @@ class Regression:
 
     @property
     def motion(self) -> Motion:
-        """The rows."""
         return self.design.motion
 
     @property
@@ -115,8 +114,7 @@ class Regression:
         return False
 
     def tests(self) -> tuple[Discrepancy | None, Octave | None, Change | None]:
-        """A discrepancy that the motion needs, innovations that are not white, a coefficient that changes; none of
-        rows."""
+        """A discrepancy that is needed, innovations that are not white, a coefficient that changes; none of rows."""
         return None, None, None
 
     @property
@@ -129,11 +127,7 @@ class Regression:
         return not shows_noise([rows.columns[name] for rows in self.motion.train])
 
     def reported(self, found: Posterior, basis: Floats, limits: Floats | None, free: bool) -> Posterior:
-        """A posterior in original units, of all P terms with r in its support, as it is reported.
-
-        Coefficients move with those that are free as `basis`, (r, f), says; limits, (P, 2), are the least and largest,
-        and `free` says that none of them changes the posterior.
-        """
+        """A posterior in original units as it is reported: with free coefficients by `basis`, within limits, (P, 2)."""
         return found
 
     def thinned(self) -> Regression:
@@ -217,9 +211,7 @@ def _filtered(
 ) -> Floats:
     """Columns (n, P) of the terms on the rows of a record, filtered as an estimated target was; else as they are.
 
-    Both sides of an equation then went through the same filter. Terms that are states did: the smoother's gain is in
-    them. An input is as measured; a product such as x**3 is that of smoothed states, which follow the motion where it
-    is strong, so that its harmonics stand there at full height.
+    States are smoothed already; so are products of them where the motion is strong, but not their harmonics.
     """
     if smoothing is None:
         return D
@@ -343,10 +335,7 @@ class RecordRegression(Regression):
         return replace(found, noise_variance=self.noise_variance(found))
 
     def _projected(self, found: Posterior, basis: Floats, limits: Floats | None, free: bool) -> Posterior:
-        """The posterior by projection (`bayeq.likelihood.projection`).
-
-        What is not `free`, coefficients with limits, stays as it is but for the discrepancy, as far as limits allow.
-        """
+        """The posterior by projection (`bayeq.likelihood.projection`), within limits where it is not `free` of them."""
         kept, left = found.support, self.record.leftover(self.k)
         (theta, covariance), r = self.record.own_coefficients(self.k), int(kept.sum())
         with_constant = len(theta) > r
@@ -374,9 +363,8 @@ class RecordRegression(Regression):
         own[kept], sd[kept] = theta[:r], np.sqrt(np.diagonal(covariance))[:r]
         every = np.full(len(kept), np.inf)
         every[kept] = np.maximum(freedom[:r], LEAST_FREEDOM)
-        found = replace(
-            found, projected=Projected(own, sd, every, moved.share, moved.share * math.sqrt(left.target), left.lines)
-        )
+        error_sd = moved.share * math.sqrt(left.target)
+        found = replace(found, projected=Projected(own, sd, every, moved.share, error_sd, left.lines))
         return _with_constant(found, theta + change, both)
 
 
@@ -407,9 +395,8 @@ REPEATED = 0.1
 def calibrated(regression: Regression, posterior: Posterior, basis: Floats) -> Posterior:
     """The posterior, in original units, with the uncertainty of the sensors' calibration in its covariances.
 
-    With another factor of a channel the coefficients that explain the same motion, that of the training rows, are
-    others: to first order their change is the regression, on the terms, of what the factor changes of the target and of
-    the terms. By `basis`, (r, f), the r coefficients of the support move with those that are free.
+    To first order coefficients change with a factor as the regression of what it changes of the target and of the terms
+    does, those of the support with the free ones by `basis`, (r, f).
     """
     names, known = regression.factors
     kept = np.flatnonzero(posterior.support)
@@ -466,10 +453,7 @@ def inputs_of_hidden_noise(regression: Regression, posterior: Posterior) -> tupl
 
 
 def _may_hide_noise(pieces: Sequence[Floats]) -> bool:
-    """Whether white noise of `hidden_noise` could be in a channel: its spectrum is nowhere lower.
-
-    A command that is held, whose samples repeat, has none.
-    """
+    """Whether white noise of `hidden_noise` could be in a channel: no held command, and nowhere a lower spectrum."""
     repeated = sum(int(np.count_nonzero(np.diff(values) == 0.0)) for values in pieces)
     if repeated > REPEATED * sum(map(len, pieces)):
         return False
@@ -480,11 +464,7 @@ def _may_hide_noise(pieces: Sequence[Floats]) -> bool:
 def changes_by_noise(
     regression: Regression, posterior: Posterior, name: str, shares: Sequence[float]
 ) -> dict[str, tuple[float, ...]]:
-    """What noise of an input, as shares of its standard deviation, would have done to coefficients that neglect it.
-
-    Noise adds to the sums of squares of the terms that the input is in. Without that share of them the coefficients
-    would be others: of each term of the posterior with the input, the relative error of its coefficient at each share.
-    """
+    """Relative errors of coefficients that neglect noise of an input, at each share of its standard deviation."""
     spread = float(np.std(np.concatenate([rows.columns[name] for rows in regression.motion.train])))
 
     def shifted(column: str, values: Floats, step: float) -> Floats:

@@ -16,7 +16,7 @@ from bayeq.inference.gram import Gram
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
 from bayeq.inference.vb import spike_slab_vb
-from bayeq.numerics.distributions import shape_of
+from bayeq.numerics.distributions import correlation, memory_of, shape_of
 from bayeq.numerics.settings import REGRESSION
 
 # Cross-correlations are looked at up to this many lags, and up to this share of the longest piece.
@@ -113,27 +113,9 @@ def inspect_residuals(pieces: Sequence[Floats], channels: Mapping[str, Sequence[
     )
 
 
-def memory_of(covariance: Floats, n: int) -> tuple[float, float]:
-    """Autocorrelation at lag 1 and effective sample size of n residuals, from sums of products at lags 0, 1, ..."""
-    rho = covariance / covariance[0] if covariance[0] > 0 else np.zeros(1)
-    negative = np.flatnonzero(rho <= 0)
-    last = int(negative[0]) if len(negative) else len(rho)
-    return float(rho[1]) if len(rho) > 1 else 0.0, n / (1.0 + 2.0 * float(rho[1:last].sum()))
-
-
 def _centred(pieces: Sequence[Floats]) -> list[Floats]:
     mean = sum(float(piece.sum()) for piece in pieces) / sum(len(piece) for piece in pieces)
     return [piece - mean for piece in pieces]
-
-
-def correlation(first: Sequence[Floats], second: Sequence[Floats]) -> Floats:
-    """Sum over pieces and rows of first(t + k) second(t), at k = 0, 1, ... below the length of the longest piece."""
-    longest = max(len(piece) for piece in first)
-    size = 1 << (2 * longest - 1).bit_length()
-    out = np.zeros(longest)
-    for a, b in zip(first, second, strict=True):
-        out[: len(a)] += np.fft.irfft(np.fft.rfft(a, size) * np.fft.rfft(b, size).conj(), size)[: len(a)]
-    return out
 
 
 def _both_ways(first: Sequence[Floats], second: Sequence[Floats], lags: int) -> Floats:
@@ -144,10 +126,9 @@ def _both_ways(first: Sequence[Floats], second: Sequence[Floats], lags: int) -> 
 def _strongest(centred: Sequence[Floats], rho: Floats, channels: Mapping[str, Sequence[Floats]]) -> Driver | None:
     """The channel with the most significant cross-correlation.
 
-    Under independence the cross-correlations have variance 1/n sum rho_k rho'_k over all lags (Bartlett 1946), times
-    the mean of the products of both squares over the product of their means: after a blow both are large together
-    (White 1980). The largest is compared with a normal distribution, times the number of lags and channels that it was
-    chosen from.
+    Under independence these have variance 1/n sum rho_k rho'_k over all lags (Bartlett 1946), times the mean of the
+    products of both squares over the product of their means: after a blow both are large (White 1980). The largest is
+    compared with a normal distribution, times the number of lags and channels that it was chosen from.
     """
     n = sum(len(piece) for piece in centred)
     own = math.sqrt(sum(float(e @ e) for e in centred))
@@ -185,10 +166,7 @@ def _pilot(gram: Gram) -> Posterior:
 
 
 def without_noise(gram: Gram, noise: Mapping[int, float]) -> Gram:
-    """The Gram of rows without the known noise variances of columns that are inputs themselves.
-
-    It is in the residual all the same, times the square of the coefficient.
-    """
+    """The Gram of rows without the known noise variances of columns that are inputs; in the residual they stay."""
     removed = np.zeros(len(gram.names))
     for j, variance in noise.items():
         removed[j] = min(gram.n * variance, MOST_NOISE * gram.DtD[j, j])
@@ -205,10 +183,8 @@ def without_noise(gram: Gram, noise: Mapping[int, float]) -> Gram:
 def thinned_gram(gram: Gram, residuals: Callable[[Posterior], Residuals]) -> Gram:
     """The Gram of as many rows as the residuals are worth: where they are correlated, N_eff rows instead of N.
 
-    The likelihood is raised to the power N_eff/N, which widens intervals and asks more evidence of a term. Found in
-    turn, since a model of fewer terms leaves residuals that are more correlated. What a rejected model leaves, one that
-    explains less than half of the target, is the motion itself: no row is discounted by that. `residuals` inspects what
-    a posterior leaves, in order of time.
+    Found in turn, since a model of fewer terms leaves residuals that are more correlated. What a rejected model leaves,
+    one that explains less than half of the target, is the motion itself. `residuals` inspects what a posterior leaves.
     """
     share = 1.0
     for _ in range(PILOTS):

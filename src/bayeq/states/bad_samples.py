@@ -103,8 +103,8 @@ def find_bad_samples(
 ) -> list[dict[str, dict[str, Bools]]]:
     """Which samples are bad, (n,) bool: for each record of one system, channel that has some, and kind.
 
-    NaN is a missing sample. Records without time, or of fewer than 40 rows, are not looked at. What is `learned`
-    already is not learned again; what is learned is added.
+    NaN is a missing sample. Records without time, or of fewer than 40 rows, are not looked at. What is learned is added
+    to `learned`, and not learned again.
     """
     out: list[dict[str, dict[str, Bools]]] = [{} for _ in records]
     timed = [i for i, record in enumerate(records) if record.time is not None and record.n >= LEAST_ROWS]
@@ -183,10 +183,7 @@ class _Group:
 
     @classmethod
     def of_chain(cls, records: Sequence[Record], chain: Chain, learned: Learned) -> _Group:
-        """A chain from its lowest measured derivative on, in units that belong together.
-
-        These are estimated without the spikes that each channel shows alone.
-        """
+        """A chain from its lowest measured derivative on, in units that belong together, found without spikes."""
         names = chain.measured[chain.lowest :]
         if sum(name is not None for name in names) == 1:
             gains = np.ones(len(names))
@@ -409,10 +406,7 @@ def _largest(values: Floats, first: int, last: int) -> Place:
 
 
 def _goes_on(at: Place, samples: Floats, predicted: Sequence[Floats], usable: Bools) -> bool:
-    """Whether a sample agrees with those before or those after it: their prediction, or the nearest of its channel.
-
-    `predicted` are the states from both sides, from those before, and from those after.
-    """
+    """Whether a sample agrees with one side: with what it predicts, or with the nearest of its channel there."""
     row, k = at
     beside = [np.flatnonzero(usable[max(row - LOCAL, 0) : row, k])[-1:] + max(row - LOCAL, 0)]
     beside += [np.flatnonzero(usable[row + 1 : row + 1 + LOCAL, k])[:1] + row + 1]

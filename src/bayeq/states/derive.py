@@ -32,8 +32,8 @@ LONGEST_STEP = 1e20
 def derive_states(record: Record, chains: Sequence[Chain], inputs: Sequence[str] = ()) -> dict[str, Floats]:
     """States, targets and inputs of a record by name, each (n,).
 
-    Raises an UnknownNameError for a channel that the record does not have; a ChainError for one that plays two parts; a
-    RecordError for NaN or infinite samples, no time where derivatives are needed, or too few rows.
+    Raises an UnknownNameError for a channel that is missing; a ChainError for one that plays two parts; a RecordError
+    for samples that are not finite, no time where derivatives are needed, or too few rows.
     """
     measured = [m for chain in chains for m in chain.measured if m is not None]
     wanted = [*measured, *inputs]
@@ -52,8 +52,7 @@ def derive_states(record: Record, chains: Sequence[Chain], inputs: Sequence[str]
                     " name: name it in the chain, or rename it"
                 )
             below = max(k for k in range(order) if chain.measured[k] is not None)
-            source = chain.names[below]
-            _fill(columns, record, source, name, order - below)
+            columns[name] = _derivative(record, chain.names[below], name, order - below)
     return columns
 
 
@@ -152,8 +151,8 @@ def require_usable(record: Record, names: Sequence[str]) -> None:
             )
 
 
-def _fill(columns: dict[str, Floats], record: Record, source: str, name: str, order: int) -> None:
-    """Put the `order`-th derivative of the measured channel `source` into `columns`."""
+def _derivative(record: Record, source: str, name: str, order: int) -> Floats:
+    """The `order`-th derivative, `name`, of a measured channel."""
     where = record.name or "record"
     if record.time is None:
         raise RecordError(f"{where}: {name!r} has to be estimated from {source!r}, which needs a time column or fs")
@@ -170,4 +169,4 @@ def _fill(columns: dict[str, Floats], record: Record, source: str, name: str, or
             f"{where}: {name!r}, estimated from {source!r}, is out of range: steps of time are about {record.dt:g} s;"
             " check the time column or fs"
         )
-    columns[name] = values
+    return values

@@ -77,10 +77,8 @@ def _sides(text: str) -> tuple[str, str]:
 
 
 def hidden_columns(roles: Roles, columns: Mapping[str, Floats], time: Floats | None) -> dict[str, Floats]:
-    """Hidden states along a record, and their rates, (n,) each; an InputError where they are not finite.
-
-    `columns` have everything else that the laws are functions of, `time` is in seconds.
-    """
+    """Hidden states and their rates, (n,) each, by columns of what their laws are functions of and time [s]; an
+    InputError where they are not finite."""
     states = [name for chain in roles.hidden for name in chain.states]
     laws = [chain.law for chain in roles.hidden if chain.law is not None]
     if time is None:

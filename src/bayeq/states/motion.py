@@ -50,7 +50,6 @@ class MotionRows:
         return slice(int(there[0]), int(there[-1]) + 1) if len(there) else slice(0, 0)
 
     def part(self, rows: slice) -> MotionRows:
-        """Some of the rows."""
         time = None if self.time is None else self.time[rows]
         columns, observed, samples = (
             {name: values[rows] for name, values in some.items()}
@@ -71,9 +70,8 @@ class Motion:
     holdout: float  # share of the rows of each record, the last, that is held out
     sensors: Sensors = field(default_factory=Sensors)  # what is known of the channels
     band: tuple[float, float] | None = None  # frequencies [Hz] in which the records are believed
-    courses: Mapping[str, Interpolation] = field(
-        default_factory=dict
-    )  # how inputs go between samples, where not smooth
+    # how inputs go between samples, where not smooth
+    courses: Mapping[str, Interpolation] = field(default_factory=dict)
     noise_sd: Mapping[str, float] = field(default_factory=dict)  # of channels, in their units, by the likelihood
     seams: tuple[int, ...] = ()  # where each record was divided to be smoothed; empty if it was not
 
@@ -149,14 +147,11 @@ def estimate_motion(
 ) -> Motion:
     """States, targets and inputs of records of one system, which share their noise levels.
 
-    With "auto" the kinematic smoother fuses all measured channels of a chain (`bayeq.states.kinematic`), and samples
-    that were dropped from a uniform grid, or are missing (NaN), are bridged: the states then have a row for each. Where
-    nothing is smoothed, rows with a missing sample are left out; with "none" they are an error. Less than 10 rows in
-    all are differentiated as they are. Records without time are left to `derive_states`, whose errors are those of this
-    function. Noise levels are learned from the training rows; the rows held out, the last `share` of each record, are
-    smoothed apart. Noise levels that `sensors` know are not learned; factors and lags that they know are taken out. In
-    `band`, frequencies [Hz], records are believed. An UnknownNameError, RecordError or ChainError names channels that
-    are missing or cannot be used.
+    With "auto" the kinematic smoother fuses all measured channels of a chain (`bayeq.states.kinematic`), and missing
+    samples are bridged. Where nothing is smoothed, rows with a missing sample are left out; with "none" they are an
+    error. Noise levels are learned from the training rows; the rows held out, the last `share` of each record, are
+    smoothed apart. In `band`, frequencies [Hz], records are believed. An UnknownNameError, RecordError or ChainError
+    names channels that are missing or cannot be used.
     """
     whole, sensors = smooth == "none", sensors or Sensors()
     if roles.hidden:
@@ -186,10 +181,10 @@ def estimate_motion(
 
 
 def with_hidden(motion: Motion, roles: Roles) -> Motion:
-    """The motion, with time, with hidden states: their laws integrated along each record.
+    """The motion, with time, with hidden states of the roles: laws without unknown constants, integrated along each
+    record.
 
-    `roles` are those of the motion, and hidden states whose laws have values of all constants. An InputError names laws
-    that are not finite along a record.
+    An InputError names laws that are not finite along a record.
     """
     records = tuple(with_columns(rows, hidden_columns(roles, rows.columns, rows.time)) for rows in motion.records)
     gains = motion.unit_gains[: len(roles.chains) - len(roles.hidden)]
@@ -248,10 +243,7 @@ AROUND = (2, 1, -1, -2)
 
 
 def likened(channels: Sequence[Floats]) -> list[Floats]:
-    """Channels with missing samples taken from where those around them were most alike.
-
-    A chaotic map may be anywhere between two samples: a straight line would lead the likelihood astray.
-    """
+    """Channels with missing samples taken from where those around were most alike: maps may be anywhere."""
     samples = np.column_stack(channels)
     scale = np.nanstd(samples, axis=0)
     around = np.hstack([np.column_stack([_moved(column, back) for column in samples.T]) for back in AROUND])
@@ -331,10 +323,7 @@ def _rows(record: Record, roles: Roles, columns: Mapping[str, Floats]) -> Motion
 
 
 def _require_integrable(records: Sequence[Record], chain: Chain, smooth: Smooth) -> None:
-    """Check the channels of a chain whose coordinate is not measured.
-
-    A channel that happens to have the coordinate's name was left out of the chain, and is not used.
-    """
+    """Check the channels of a chain whose coordinate is not measured; one that has its name is not used."""
     for record in records:
         require_usable(record, [name for name in chain.measured if name is not None])
     where = records[0].name or "record"
@@ -368,8 +357,7 @@ def measured_apart(
 ) -> tuple[tuple[Chain, ...], list[str]]:
     """The chains without channels that were computed from a lower one, and a message for each chain that has some.
 
-    Such channels keep their names and are to be estimated. Noise levels are not learned from a `share` of the rows, the
-    last of each record.
+    Such channels keep their names and are to be estimated. The last `share` of the rows says nothing of noise levels.
     """
     out, messages = [], []
     for chain in chains:
@@ -429,8 +417,7 @@ def _rough_noise(pieces: Sequence[Floats]) -> float:
 
 
 def _filter(records: Sequence[Record], cuts: Sequence[int], source: str, name: str) -> tuple[float, float] | None:
-    """Least-squares filter from one channel to another: standard deviation of what it leaves, and its gain for white
-    noise; None of too few rows."""
+    """Least-squares filter between channels: sd of what it leaves, gain for white noise; None of too few rows."""
     blocks, targets = [], []
     rows = 0
     for record, cut in zip(records, cuts, strict=True):

@@ -10,9 +10,10 @@ from bayeq.arrays import Bools, Floats, Ints
 from bayeq.errors import InputError, RecordError, in_digits
 from bayeq.expressions.parse import EARLIER
 from bayeq.numerics.settings import RECORDS, STATES
-from bayeq.records import SAMPLES, Record, correct_delay, split_at_gaps
+from bayeq.records import Record, correct_delay
 from bayeq.records.findings import equal_runs
 from bayeq.records.record import with_only, with_samples
+from bayeq.records.repair import SAMPLES, split_at_gaps
 from bayeq.records.validate import even_step, is_step
 from bayeq.states.bad_samples import Learned, listed, without_bad_samples
 from bayeq.states.derive import LARGEST, Smooth, require_usable
@@ -48,9 +49,9 @@ def cleaned(
 ) -> tuple[list[Record], list[str]]:
     """The records of one system, row by row, with NaN in place of bad samples; with "none" as they are.
 
-    And a message for each channel of which samples are missing or left out. Bad samples are judged by what was
-    `learned` of other records of the system; what is missing there is added. An UnknownNameError or RecordError names
-    channels that are missing, or of which most samples are infinite or too large to square.
+    And a message for each channel of which samples are missing or left out, judged by what was `learned` of other
+    records. An UnknownNameError or RecordError names channels that are missing, or mostly infinite or too large to
+    square.
     """
     if smooth == "none":
         return list(records), []
@@ -82,10 +83,7 @@ def without_impossible(records: Sequence[Record], names: Sequence[str]) -> tuple
 
 
 def divided_at_gaps(records: Sequence[Record], roles: Roles, smooth: Smooth) -> tuple[list[Record], list[str]]:
-    """Cleaned records in pieces without gaps that are too long to bridge, and a message for each that had some.
-
-    With "none" they stay whole.
-    """
+    """Cleaned records in pieces without long gaps, whole with "none", and a message for each that had some."""
     if smooth == "none":
         return list(records), []
     return split_at_gaps(without_empty_rows(records, roles), roles.channels)
@@ -131,10 +129,9 @@ def complete_rows(record: Record, roles: Roles) -> Record:
 
 
 def without_empty_rows(records: Sequence[Record], roles: Roles) -> list[Record]:
-    """The records with uninformative rows removed, which leaves a gap in time.
+    """The records without stretches of more than two rows that lack all chains or an input, which leaves a gap in time.
 
-    Uninformative are stretches of more than two rows without a sample of any chain, or without an input. Without time
-    there is nothing to bridge by: rows without a sample of every channel go.
+    Without time there is nothing to bridge by: rows without a sample of every channel go.
     """
     out = []
     for record in records:
@@ -215,9 +212,7 @@ def on_grid(record: Record, names: Sequence[str]) -> Record:
 
 
 def corrected(record: Record, sensors: Sensors, whole: bool = False) -> Record:
-    """The record with the factors and lags of its channels that were learned taken out.
-
-    Of lags by band-limited interpolation, which keeps noise white.
+    """The record with the factors and lags of its channels that were learned taken out, by band-limited interpolation.
 
     Rows at an end of which a channel then has no sample lack it; with `whole` they repeat the nearest one. A
     RecordError says that time is uneven, but for rows that are missing, or a lag as long as the record.
@@ -291,10 +286,8 @@ OFF_GRID = 0.1
 
 
 def numbered(records: Sequence[Record], names: Sequence[str]) -> list[Record]:
-    """The records with the inputs that number them, run2, run3, if these are not among their channels.
-
-    An InputError refuses another number of records than the equations are of.
-    """
+    """The records with inputs run2, run3 that number them, unless they have these; an InputError refuses another
+    number of records than the equations are of."""
     if all(name in record.channels for record in records for name in names):
         return list(records)
     if len(records) != len(names) + 1:
@@ -311,8 +304,7 @@ def numbered(records: Sequence[Record], names: Sequence[str]) -> list[Record]:
 def in_samples(record: Record, roles: Roles) -> Record:
     """The record with the number of the sample as time, and with earlier samples of inputs as channels of their own.
 
-    The first of them, before the record, are taken to be like the first one of the input. A RecordError refuses uneven
-    steps of time.
+    Those before the record are like the first one of the input. A RecordError refuses uneven steps of time.
     """
     time = np.arange(record.n, dtype=np.float64)
     if record.time is not None and record.n > 2:
@@ -361,8 +353,7 @@ def without_hum(
 ) -> tuple[list[Record], list[str]]:
     """Some channels of records without the lines that stand out of their spectra above what is believed, and a message.
 
-    `low` and `high` are frequencies [Hz], NaN a missing sample. A RecordError says that a record is not sampled evenly,
-    or slower than the band.
+    `low` and `high` are frequencies [Hz]. A RecordError refuses records that are not sampled evenly, or too slowly.
     """
     found, heard = [], set[float]()
     for record in records:
@@ -387,10 +378,7 @@ def without_hum(
 
 
 def _without_lines(values: Floats, above: float) -> tuple[Floats, list[float]]:
-    """Channels (n, M) without what they have at the frequencies of lines, and these [cycles per sample].
-
-    The same is taken out of all: an equation that is linear there stays as it is.
-    """
+    """Channels (n, M) without what they have at the frequencies of lines, and these [cycles per sample]."""
     known, rows = np.isfinite(values), np.arange(len(values), dtype=np.float64)
     window, rest, lines = np.hanning(len(values) + 2)[1:-1], values, list[float]()
     while len(lines) < min(MOST_LINES, len(values) // ROWS_EACH):

@@ -104,10 +104,7 @@ class Chain:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the derivatives: the channel's, or ``dx``, ``ddx`` ... where not measured and not called otherwise.
-
-        A coordinate that is neither measured nor called otherwise is ``x``.
-        """
+        """Names of the derivatives: the channel's, its own, or x, ``dx``, ``ddx`` ... where not measured."""
         base = self.own_name(0) or COORDINATE
         return tuple(self.own_name(k) or "d" * k + base for k in range(len(self.measured)))
 

@@ -94,15 +94,11 @@ def check_sensors(
     noise: Mapping[str, float | str],
     gain_sd: Mapping[str, float | str],
     roles: Roles,
-    lag_sd: Mapping[str, float | str] | None = None,
+    lag_sd: Mapping[str, float | str],
 ) -> None:
-    """Refuse what cannot be used, before any work.
-
-    That is a channel that plays no part (UnknownNameError), or a value that is no number, negative or infinite
-    (InputError).
-    """
+    """Refuse what cannot be used: a channel without a part (UnknownNameError), a value out of range (InputError)."""
     known = roles.channels
-    for what, given in (("noise", noise), ("gain_sd", gain_sd), ("lag_sd", {} if lag_sd is None else lag_sd)):
+    for what, given in (("noise", noise), ("gain_sd", gain_sd), ("lag_sd", lag_sd)):
         require_mapping(given, what)
         for name, value in given.items():
             if name not in known:
@@ -118,11 +114,7 @@ def known_sensors(
     tails: Tails = "gauss",
     lag_sd: Mapping[str, float | str] | None = None,
 ) -> Sensors:
-    """What was given of the channels of some records, in their units.
-
-    Channels that are not measured apart (`bayeq.states.measured_apart`) are left out. An InputError refuses noise that
-    exceeds what was measured.
-    """
+    """What was given of the channels of some records, in their units; an InputError refuses noise beyond these."""
     used = roles.channels
     levels, readings = dict[str, float](), dict[str, float]()
     gains = {name: _amount("gain_sd", name, v)[0] for name, v in gain_sd.items() if name in used}
@@ -163,10 +155,7 @@ def known_sensors(
 
 
 def force_of_blows(name: str, records: Sequence[Record]) -> Floats | None:
-    """Samples of blows, of a force that a window has made 0 between them; None of any other channel.
-
-    Their values hardly repeat, and those between them are one and the same.
-    """
+    """Samples of blows, of a force that a window has made 0 between them; None of any other channel."""
     values = np.concatenate([np.asarray(record[name]) for record in records])
     values = values[np.isfinite(values)]
     blows = values[values != 0.0]
@@ -199,10 +188,7 @@ def _amount(what: str, name: str, value: float | str) -> tuple[float, bool]:
 
 
 def scaled_with(chains: Sequence[Chain], channel: str) -> tuple[str, ...]:
-    """Columns that a factor of a channel multiplies: its own, and derivatives that are estimated from it.
-
-    A derivative that is not measured comes from the next lower one that is; where there is none, from the next higher.
-    """
+    """Columns that a factor of a channel multiplies: its own, and derivatives that are estimated from it."""
     out = [channel]
     for chain in chains:
         present = [k for k, name in enumerate(chain.measured) if name is not None]
@@ -274,10 +260,7 @@ def rates(chain: Chain, gains: Sequence[float]) -> tuple[float, ...]:
 
 
 def of_no_unit(chain: Chain, gains: Sequence[float], units: Mapping[str, str]) -> tuple[str, str, float] | None:
-    """A channel, one below it, and by how much the first is too large or too small to be its derivative.
-
-    The gains are those of `unit_gains`; None where each is as stated, or may be of a unit that is not known.
-    """
+    """A channel, one below it, and by how much the first is too large for its derivative, if no unit tells why."""
     measured = [(k, name) for k, name in enumerate(chain.measured[: len(gains)]) if name is not None]
     for place, (k, name) in enumerate(measured[1:], 1):
         found = []
@@ -299,9 +282,8 @@ def unit_gains(
 ) -> Floats:
     """Factor of each derivative's channel to the derivative in the unit that the lowest measured one implies, (K+1,).
 
-    It is 1 below the lowest measured channel; that of the channel below, where one above it is not measured; negative
-    for a channel of the opposite sign. It is learned from the first `rows` of each record, by default from all; NaN is
-    a missing sample. Where the factors of sensors may be off, by `gain_sd`, what they may explain is no unit.
+    That of a channel below where it is not measured; negative for the opposite sign. It is learned from the first
+    `rows` of each record, by default all. What the factors of sensors, off by `gain_sd`, may explain is no unit.
     """
     cuts = [record.n for record in records] if rows is None else list(rows)
     gains, gain_sd = np.ones(chain.order + 1), gain_sd or {}
@@ -341,10 +323,7 @@ class _Estimate(NamedTuple):
 
 
 def _decided(stated: float | None, found: _Estimate | None, acceleration: bool) -> float:
-    """The stated ratio; without one the first usual ratio that the estimate agrees with, or else the nearest.
-
-    What differs by more than calibration is left as it is found, a stated ratio notwithstanding; so are signs.
-    """
+    """The stated ratio, the first usual one that agrees with the estimate, or else the nearest or the estimate."""
     if found is None:
         return 1.0 if stated is None else stated
     usual = (1.0, *PREFIXES, *(IN_G if acceleration else ()), *ANGLES, *OTHERS)

@@ -190,8 +190,6 @@ def _right(eq: Any, law: Law) -> bool:
 def percent(part: Iterable[bool]) -> str:
     """A share in per cent; of nothing nothing.
 
-    Examples
-    --------
     >>> percent([True, False, True, True]), percent([])
     ('75.0', '')
     """

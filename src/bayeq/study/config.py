@@ -66,8 +66,6 @@ class StudyConfig:
 def choose(kind: str, names: Iterable[str], known: Iterable[str]) -> tuple[str, ...]:
     """The names, checked, each once, in the order of `known`; an InputError without names, or for one not known.
 
-    Examples
-    --------
     >>> choose("system", ["duffing", "linear", "duffing"], STUDY_SYSTEMS)
     ('linear', 'duffing')
     """

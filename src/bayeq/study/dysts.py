@@ -1,12 +1,9 @@
-"""The 70 polynomial chaotic systems of Kaptanoglu et al. (arXiv 2302.10787) from noisy states, all monomials offered.
+"""The 70 polynomial chaotic systems of Kaptanoglu et al. (arXiv 2302.10787), by their protocol (docs/benchmarks.md).
 
-Their protocol: five trajectories of a system from random places on its attractor, 1000 points each, 100 to a period;
-white noise whose standard deviation is a share of the root mean square of all states together; monomials to degree 4.
-E is the error of the coefficient matrix in the spectral norm, relative to the true one. Methods: ``bayeq``, told
-nothing but the states; ``bayeq told``, which knows the true terms, as a lower bound of E; PySINDy's ``stlsq``, from
-smoothed differences and in ``weak`` form, with the threshold that is best by AICc of clean derivatives of further
-trajectories, the paper's rule, or by E itself, the oracle. MIOSR needs a solver that is sold: its published figures
-stand beside.
+Methods: ``bayeq``, which knows nothing but the states; ``bayeq told``, which knows the true terms, as a lower bound of
+the error E; PySINDy's ``stlsq``, from smoothed differences and in ``weak`` form, with the threshold that is best by
+AICc of clean derivatives of further trajectories, the paper's rule, or by E itself, the oracle. MIOSR needs a solver
+that is sold: its published figures stand beside.
 """
 
 from __future__ import annotations
@@ -94,18 +91,14 @@ def draw(name: str, noise: float, seed: int) -> list[Record]:
 def measure(cell: Cell, seed: int) -> Outcome:
     """The outcome of a cell (system, noise in per cent, method) for a seed."""
     name, noise, method = str(cell[0]), float(cell[1]), str(cell[2])
-    if method.startswith("bayeq"):
-        return _bayeq(name, noise, seed, told=method.endswith("told"))
-    return _stlsq(name, noise, seed, weak=method == "weak")
-
-
-def _bayeq(name: str, noise: float, seed: int, told: bool) -> Outcome:
+    if not method.startswith("bayeq"):
+        return _stlsq(name, noise, seed, weak=method == "weak")
     from bayeq.discovery import discover
 
     system, laws = _system(name)
     records = draw(name, noise, seed)
     how: dict[str, Any] = {"dictionary": f"polynomial:{DEGREE}"}
-    if told:
+    if method == "bayeq told":
         own = {f"d{s}": [t for t in law if t != CONSTANT] for s, law in zip(system.states, laws, strict=True)}
         # an equation without candidates beside its constant is offered one
         how["dictionary"] = {target: terms or [system.states[0]] for target, terms in own.items()}

@@ -106,8 +106,6 @@ def confidence_ellipse(mean: ArrayLike, covariance: ArrayLike, level: float = 0.
 
     There ``(t - mean)' C^-1 (t - mean)`` is the chi-square quantile with 2 degrees of freedom, ``-2 ln(1 - level)``.
 
-    Examples
-    --------
     >>> outline = confidence_ellipse([0.0, 0.0], [[1.0, 0.0], [0.0, 4.0]])
     >>> outline.max(axis=1).round(2)
     array([2.45, 4.9 ])

@@ -1,12 +1,10 @@
-"""ODEBench, the 63 systems of d'Ascoli et al. (arXiv 2310.05573): one noisy trajectory each, from two initial states.
+"""ODEBench, the 63 systems of d'Ascoli et al. (arXiv 2310.05573), by their protocol (docs/benchmarks.md).
 
-Their protocol: t = 0 to 10 at 512 points, or a share of them dropped at random; noise in proportion to every value, or
-("added") white of the same share of each state's standard deviation. An equation is scored by its free run from the
-clean first state, R2 > 0.9 against the clean trajectory (states weighted by their variance), and by the one from the
-initial state that it has not seen. An answer of which an equation is ``none`` has failed. Dictionaries: "blind", all
-monomials to degree 3; "informed", monomials to the system's own degree, at least 2, and its other functions, constants
-inside them unknown where they are. Methods: ``bayeq``; ``proportional``, told that the noise is a share of the reading;
-and PySINDy's ``stlsq`` with the authors' grid, of which the last 30 % of the trajectory choose.
+An equation is scored by its free runs from the clean first state and from the initial state that it has not seen: R2
+of all states together. Dictionaries: "blind", all monomials to degree 3; "informed", monomials to the system's own
+degree, at least 2, and its other functions, constants inside them unknown where they are. Methods: ``bayeq``;
+``proportional``, which knows that the noise is a share of the reading; and PySINDy's ``stlsq`` with the authors' grid,
+of which the last 30 % of the trajectory choose.
 """
 
 from __future__ import annotations
@@ -25,7 +23,7 @@ from bayeq.arrays import Floats
 from bayeq.errors import BayeqError, BayeqWarning, needing
 from bayeq.records import Record
 from bayeq.study import cells
-from bayeq.study.cells import CONSTANT, Cell, Cells, Law, Outcome
+from bayeq.study.cells import CONSTANT, Cell, Cells, Outcome
 from bayeq.study.config import choose
 from bayeq.systems import simulate
 
@@ -46,49 +44,6 @@ TRAINED = 0.7
 
 # A free run that is further from zero has left.
 FARTHEST = 1e6
-
-# Of the systems whose laws no fixed terms hold: the other terms of their dictionaries beside the monomials to degree 2,
-# with constants inside, and the laws in these.
-WITH_CONSTANTS: dict[int, tuple[str, list[Law]]] = {
-    4: ("1/(1+exp({a: -3..3}-x0*{b: 0.1..10}))", [{"1/(1+exp({a}-x0*{b}))": 1.0, CONSTANT: -0.5}]),
-    10: (
-        "(1-x0)*x0**{a: 1.05..3}; x0*(1-x0)**{b: 1.05..3}",
-        [{"(1-x0)*x0**{a}": 0.2, "x0*(1-x0)**{b}": -0.8}],
-    ),
-    14: (
-        "x0**2/({a: 10..10000}+x0**2)",
-        [{"x0": 0.78, "x0**2": -0.78 / 81.0, "x0**2/({a}+x0**2)": -0.9}],
-    ),
-    18: ("x0/({a: 5..500}+x0)", [{"x0": 0.4, "x0**2": -0.004, "x0/({a}+x0)": -0.24}]),
-    19: ("x0/({a: 0.08..8}+x0)", [{"x0": 1.0, "x0**2": -1.0, "x0/({a}+x0)": -0.08}]),
-    22: ("x0**5/({a: 10..1000}+x0**5)", [{CONSTANT: 1.4, "x0**5/({a}+x0**5)": 0.4, "x0": -0.89}]),
-    47: (
-        "1/(1+exp({a: 0.5..50}*x1-{b: 0.1..10})); 1/(1+exp({c: 0.5..50}*x0-{d: 0.1..10}))",
-        [{"x0": -1.0, "1/(1+exp({a}*x1-{b}))": 1.0}, {"x1": -1.0, "1/(1+exp({c}*x0-{d}))": 1.0}],
-    ),
-    48: (
-        "x0*x1/(1+{a: 0.05..5}*x0**2)",
-        [{CONSTANT: 18.3, "x0": -1.0, "x0*x1/(1+{a}*x0**2)": -1.0}, {CONSTANT: 11.23, "x0*x1/(1+{a}*x0**2)": -1.0}],
-    ),
-    53: (
-        "x0*x1/({a: 0.01..1}+x0); x1/({b: 0.01..1}+x1); x0*x1/({c: 0.2..20}+x1)",
-        [
-            {CONSTANT: 0.1, "x0*x1/({a}+x0)": -0.4, "x0": -0.05},
-            {"x2": 0.06, "x1*x2": 0.6, "x1/({b}+x1)": -0.2, "x0*x1/({c}+x1)": -7.95},
-            {"x2": -0.06, "x1*x2": -0.6, "x1/({b}+x1)": 0.2, "x0*x1/({c}+x1)": 7.95},
-        ],
-    ),
-    62: (
-        "1/(1+exp({a: 0.1..10}*x2+{b: 0.1..10}*x1-{c: 0.1..10}))"
-        "; 1/(1+exp({d: 0.1..10}*x0+{g: 0.1..10}*x3-{f: 0.1..10}))",
-        [
-            {"x0": -1.0, "1/(1+exp({a}*x2+{b}*x1-{c}))": 1.0},
-            {"x0": 1.0, "x1": -1.0},
-            {"x2": -1.0, "1/(1+exp({d}*x0+{g}*x3-{f}))": 1.0},
-            {"x2": 1.0, "x3": -1.0},
-        ],
-    ),
-}
 
 
 @lru_cache(maxsize=1)
@@ -147,7 +102,7 @@ def measure(cell: Cell, seed: int) -> Outcome:
     from bayeq.discovery import discover
 
     known = _known()[name]
-    laws = known["terms"] if int(name) not in WITH_CONSTANTS else WITH_CONSTANTS[int(name)][1]
+    laws = known["terms"] or known["laws"]
     how: dict[str, Any] = {"dictionary": "polynomial:3" if dictionary == "blind" else informed(name)}
     if method == "proportional":
         how["noise"] = dict.fromkeys(known["states"], "% of reading")
@@ -162,8 +117,8 @@ def measure(cell: Cell, seed: int) -> Outcome:
 
 def informed(name: str) -> list[str]:
     known = _known()[name]
-    if int(name) in WITH_CONSTANTS:
-        return ["polynomial:2", *WITH_CONSTANTS[int(name)][0].split("; ")]
+    if known["terms"] is None:  # no fixed terms hold the law: unknown constants are inside some
+        return ["polynomial:2", *known["unknowns_in"]]
     names = list(dict.fromkeys(term for law in known["terms"] for term in law if term != CONSTANT))
     degrees = {term: _degree(term, known["states"]) for term in names}
     degree = max([2, *(d for d in degrees.values() if d is not None)])

@@ -18,7 +18,7 @@ from dataclasses import asdict, astuple, dataclass, field, fields, replace
 from functools import lru_cache, partial
 from itertools import groupby
 from pathlib import Path
-from typing import Any, Literal, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -82,13 +82,6 @@ def posed(train: Gram, config: StudyConfig) -> tuple[Standardised, Prior]:
     return standard, replace(prior, slab_variance=learn_slab_variance(standard.gram, prior, config.slab_variance))
 
 
-def _sindy(
-    columns: Literal["raw", "standardised"], data: Realisation, config: StudyConfig, seed: tuple[int, ...]
-) -> Posterior:
-    """Sequential threshold least squares, its threshold on raw or standardised columns swept on the held-out error."""
-    return sweep_stlsq(data.train, held_out=data.test, columns=columns)
-
-
 def _rvm(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Posterior:
     """Relevance vector machine; selected is what is left in the machine."""
     standard = data.train.standardise()
@@ -121,8 +114,9 @@ def _spike_slab(
 
 
 ALGORITHMS: dict[str, Algorithm] = {
-    "sindy": partial(_sindy, "raw"),
-    "sindy-std": partial(_sindy, "standardised"),
+    # sequential threshold least squares, the threshold swept on the held-out error
+    "sindy": lambda data, config, seed: sweep_stlsq(data.train, held_out=data.test, columns="raw"),
+    "sindy-std": lambda data, config, seed: sweep_stlsq(data.train, held_out=data.test, columns="standardised"),
     "rvm": _rvm,
     "gibbs": _gibbs,
     "auto": _auto,
@@ -132,9 +126,6 @@ ALGORITHMS: dict[str, Algorithm] = {
     # a search that adds and drops terms but never swaps them
     "vb-greedy": partial(_spike_slab, partial(spike_slab_vb, init="greedy")),
 }
-
-
-# --- a realisation ---------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -281,9 +272,6 @@ def _relative_error(estimate: Floats, truth: Floats) -> float:
     return float(np.linalg.norm(estimate - truth) / np.linalg.norm(truth))
 
 
-# --- the file --------------------------------------------------------------------------------------------------------
-
-
 COLUMNS = ("system", "idx", "algorithm", *METRICS, "seconds", "selected", "converged", "extras", "failure")
 
 
@@ -416,7 +404,6 @@ def run_study(
     Systems, algorithms and realisations may be added later; without `config` it is the paper's protocol with seed 0.
     `jobs` processes compute, with 1 this one alone, or the workers of a Dask `client`, a `batch` at a time, by default
     what takes a quarter of a second. `progress` is called with (realisations done, these and the missing ones).
-
     InputError for what cannot be used, or a store of another configuration; BayeqError where a worker was killed.
     """
     config = config or StudyConfig()

@@ -254,8 +254,6 @@ def _with_error(value: float | None, error: float | None) -> str:
 def _number(value: float, like: float | None = None) -> str:
     """Three decimals as the paper prints, fewer of what is large; of an error, according to its value.
 
-    Examples
-    --------
     >>> _number(0.0411), _number(502.261), _number(1546.5), _number(4e5)
     ('0.041', '502.3', '1546', '4.0e+05')
     >>> _number(0.0021, like=0.0411), _number(89.61, like=157.3), _number(2e4, like=4e5)

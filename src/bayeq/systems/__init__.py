@@ -20,8 +20,6 @@ SYSTEMS = Table("systems", System, {system.name: system for system in KNOWN})
 def get_system(name: str) -> System:
     """The known system of this name; UnknownNameError if there is none.
 
-    Examples
-    --------
     >>> get_system("lorenz").title
     'Lorenz 63'
     """

@@ -25,15 +25,10 @@ def is_library(thing: Any) -> bool:
 def terms_of(library: Any, names: Sequence[str]) -> list[str]:
     """Terms of a feature library of some channels; its constant is left out, for the intercept is always estimated.
 
-    `PolynomialLibrary`, `FourierLibrary`, `CustomLibrary` or any other whose features have names that can be read:
-    products by spaces, powers by ``^``, functions of docs/terms.md. It need not be fitted, and stays as it is. The
-    names are those of its columns: states first, then inputs.
+    Names of features are read as docs/terms.md has terms, with spaces for products. The library need not be fitted, and
+    stays as it is; the names are those of its columns: states first, then inputs. InputError: it cannot be fitted to
+    these channels, or a feature has a name that is no term, or other values than its name says.
 
-    InputError: a library that cannot be fitted to these channels, or a feature whose name is no term, or that does not
-    have the values which its name says.
-
-    Examples
-    --------
     >>> class Squares:
     ...     def fit(self, x): return self
     ...     def transform(self, x): return np.asarray(x) ** 2

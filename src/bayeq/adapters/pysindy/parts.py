@@ -131,7 +131,13 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
         sample_weight : float or (n,) array, optional
             How often each row counts. Rows of different weights are not treated as a time series.
         """
-        self._check_parameters()
+        if self.unbias:
+            raise InputError(
+                "unbias must be False: coefficients are posterior means given the included terms, and least squares in"
+                " their place would not belong to the covariance and the probabilities that are reported"
+            )
+        if self.method not in METHODS:
+            raise UnknownNameError("method", self.method, METHODS)
         D, Y = _arrays(x_, y)
         given = np.asarray(1.0 if sample_weight is None else sample_weight, dtype=np.float64)
         weights = checked_weights(np.full(len(D), given) if given.ndim == 0 else given, len(D))
@@ -231,15 +237,6 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
         engine = ENGINES[self.method]
         options = {"seed": self.random_state} if engine.random else {}
         return engine.run(standard.gram, prior, **options).rescaled(standard)
-
-    def _check_parameters(self) -> None:
-        if self.unbias:
-            raise InputError(
-                "unbias must be False: coefficients are posterior means given the included terms, and least squares in"
-                " their place would not belong to the covariance and the probabilities that are reported"
-            )
-        if self.method not in METHODS:
-            raise UnknownNameError("method", self.method, METHODS)
 
 
 def _of_each(name: str, given: ArrayLike, count: int, of: str, what: str) -> Floats:

@@ -1,19 +1,10 @@
 """Rows of a library and a target as a time series: the Gram that allows for errors of the numerical derivative.
 
-An optimizer of PySINDy is given the library matrix and the derivatives, in order of time, and not how these were made.
-Two things are known of any of them all the same.
-
-Central differences, and any other symmetric filter, give z = (1 + a_2 d2 + a_4 d4 + ...) x', where d2 is the second
-difference from row to row. So x' = z - b_2 d2 z - b_4 d4 z - ..., with coefficients of the size of those that complete
-central differences to the derivative, 1/6, 1/30, 1/140. Differences of the target are put beside the candidates with
-these as prior standard deviations, and integrated out. They are of the fitted target, not of the target, whose noise
-they would share: two-stage least squares.
-
-Noise of a derivative grows with frequency, and a smoothed motion holds nothing of the signal where noise was above it.
-So the regression is one of the bins below the frequency at which the target comes near to the residual, each weighted
-by the inverse of the residual's density, which is taken never to fall with frequency: the equation holds for any
-linear transform of both sides, and the bins of tapered columns have independent residuals, each with a variance of its
-own, so that these weights are efficient and the intervals honest (generalised least squares; Hannan 1963).
+An optimizer of PySINDy is not told how the derivatives were made; docs/method/regression.md says what is known of any.
+Differences that complete them are candidates, integrated out: those of the fitted target, for the target's own would
+share its noise (two-stage least squares). The regression is one of the bins below the frequency at which the target
+comes near to the residual, weighted by the inverse of the residual's density, which is taken never to fall with
+frequency: bins of tapered columns have independent residuals (generalised least squares; Hannan 1963).
 """
 
 from __future__ import annotations
@@ -81,11 +72,10 @@ class Band:
 
 
 def pieces_of(Z: Floats, gaps: Bools) -> list[slice] | None:
-    """Uninterrupted pieces of rows of a library (n, P), or None where they are no resolved time series.
+    """Uninterrupted pieces of rows of a library (n, P); gaps (n,) are rows that do not follow on the one before.
 
-    Gaps (n,) are rows that do not follow on the one before. None where fewer than half of the rows are in pieces of 64
-    rows, or the columns change more from row to row than at about six rows per period: samples in no order, or
-    subdomains of a weak form.
+    None where fewer than half of the rows are in pieces of 64 rows, or the columns change more from row to row than at
+    about six rows per period: samples in no order, or subdomains of a weak form.
     """
     step = np.linalg.norm(np.diff(Z, axis=0), axis=1)
     padded = np.concatenate([[0.0], step, [0.0]])
@@ -101,10 +91,7 @@ def pieces_of(Z: Floats, gaps: Bools) -> list[slice] | None:
 
 
 def row_gram(Z: Floats, t: Floats, w: Floats, floor: float) -> Gram:
-    """Uncentred statistics of rows that are no time series, white noise of standard deviation `floor` added.
-
-    Library (n, P), target (n,) and weights (n,), how often each row counts.
-    """
+    """Uncentred statistics of rows in no order, each counted `w` (n,) times, with white noise of sd `floor` added."""
     columns = np.column_stack([Z, t])
     found = _uncentred((columns * w[:, None]).T @ columns, float(w.sum()))
     return replace(found, yty=found.yty + found.n * floor**2)
@@ -131,11 +118,7 @@ def series_grams(Z: Floats, T: Floats, pieces: Sequence[slice], floors: Floats) 
 def _with_differences(
     Z: Floats, pieces: Sequence[slice], library: Sequence[Floats], t: Sequence[Floats], highest: float
 ) -> list[Band]:
-    """Library, differences and target of each piece in the band.
-
-    The differences are not of the target itself, whose noise they would share, but of what all columns, differences
-    among them, give of it: two-stage least squares, in turn.
-    """
+    """Library, differences and target of each piece in the band; differences are of what all columns give of it."""
     bands = [to_band(D, y, highest) for D, y in zip(library, t, strict=True)]
     fitted = [Z[p] @ _least_squares(bands) for p in pieces]
     for _ in range(TURNS):
@@ -205,10 +188,7 @@ def _band_end(D: Sequence[Floats], t: Sequence[Floats]) -> float:
 
 
 def taper(n: int, memory: float = 0.0) -> Floats:
-    """Window that rises from 0 to 1 with three continuous derivatives at either end.
-
-    It does so over 1/40 of the rows, or 16, or over four times the `memory` in rows, whichever is most.
-    """
+    """Window that rises from 0 to 1 with three continuous derivatives at either end; `memory` is in rows."""
     length = max(LEAST_TAPER, round(TAPERED * n), round(min(MEMORY * memory, MOST_TAPERED * n)))
     s = np.clip(np.minimum(np.arange(n), n - 1 - np.arange(n)) / length, 0.0, 1.0)
     return np.asarray(s**4 * (35.0 - 84.0 * s + 70.0 * s**2 - 20.0 * s**3))
@@ -253,10 +233,7 @@ def _uncentred(products: Floats, n: float) -> Gram:
 
 
 def residual_spectrum(bands: Sequence[Band], coef: Floats) -> list[Floats]:
-    """Variance in each bin of the residual that coefficients (P,) leave.
-
-    It is the periodogram, averaged over neighbouring frequencies of all pieces.
-    """
+    """Variance in each bin of the residual of coefficients (P,): its periodogram, averaged over neighbouring bins."""
     power = [np.abs(band.columns[:, -1] - band.columns[:, :-1] @ coef) ** 2 for band in bands]
     order = np.argsort(np.concatenate([band.frequency for band in bands]), kind="stable")
     values = np.concatenate(power)[order]

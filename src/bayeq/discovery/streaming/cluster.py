@@ -54,10 +54,7 @@ ANSWER = 5.0
 
 
 class Cluster:
-    """The workers of a cluster, reached by a dask.distributed.Client.
-
-    InputError for something else, no worker, or workers with another version of bayeq.
-    """
+    """The workers of a cluster, reached by a dask.distributed.Client of the same version of bayeq, or an InputError."""
 
     def __init__(self, client: Any) -> None:
         if not all(hasattr(client, name) for name in ("submit", "compute", "nthreads", "run")):
@@ -284,11 +281,7 @@ def _require_workers(client: Any) -> None:
 
 @contextmanager
 def connected(address: str) -> Iterator[Any]:
-    """The client of a cluster, by the address of its scheduler, tcp://host:8786, or the file that it wrote.
-
-    The scheduler writes one with ``dask scheduler --scheduler-file``.
-    InputError where nobody answers; MissingExtraError without Dask.
-    """
+    """The client of a cluster, by the address of its scheduler or its file; an InputError where nobody answers."""
     with needing("distributed", "dask", "work on a cluster"):
         from distributed import Client
     found = _in_file(address)

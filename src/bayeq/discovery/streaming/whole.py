@@ -29,9 +29,10 @@ from bayeq.inference.gram import from_moments
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.block import Block, Curvature, curvature, relearned
 from bayeq.likelihood.record_fit import RecordFit
+from bayeq.numerics.distributions import memory_of
 from bayeq.numerics.settings import STREAMING
 from bayeq.regression.design import Design, usable_terms
-from bayeq.regression.residuals import Residuals, memory_of
+from bayeq.regression.residuals import Residuals
 from bayeq.resumable import Progress
 from bayeq.states import Motion
 from bayeq.states.bad_samples import Learned
@@ -60,7 +61,6 @@ class Whole:
 
     @property
     def n(self) -> int:
-        """Number of rows."""
         return sum(one.n for one in self.extents)
 
     def counts(self, share: float) -> tuple[int, int]:
@@ -69,10 +69,7 @@ class Whole:
         return used, self.n - used
 
     def design(self, motion: Motion, terms: Sequence[Expression], allowed: Bools, share: float) -> Design:
-        """A dictionary on the motion of stretches, with the statistics of all rows as they are.
-
-        The last `share` of the rows of each record is held out. InputError if no candidate can be used, or no row.
-        """
+        """A dictionary on the motion of stretches, with the statistics of all rows, a `share` held out."""
         roles, terms = motion.roles, tuple(terms)
         work = AsMeasured(self.extents, roles, terms, share)
         names, targets = tuple(term.text for term in terms), len(roles.targets)
@@ -122,9 +119,9 @@ class Whole:
                 f"{block.lost:,} of {self.n:,} rows could not be used: look at them, or leave them out (--rows)",
                 DataWarning,
             )
-        names = (*motion.roles.measured, *motion.roles.inputs)
         for counts, what in zip(block.absent.tolist(), ("are missing", "were left out as bad"), strict=True):
-            listed = [f"{count:,} of {name}" for name, count in zip(names, counts, strict=False) if count]
+            pairs = zip(motion.roles.channels, counts, strict=False)
+            listed = [f"{count:,} of {name}" for name, count in pairs if count]
             if listed:
                 log.warn(
                     f"of all {self.n:,} rows these samples {what}: {some_of(listed, 40)}; check the sensors",

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from bayeq.arrays import Floats
+from bayeq.arrays import Floats, Ints
 from bayeq.errors import RecordError
 from bayeq.expressions import Evaluator, Expression, Tape
 from bayeq.expressions.evaluate import registers_for, run_on_rows
@@ -25,10 +25,10 @@ from bayeq.kernels import kernel
 from bayeq.likelihood.block import Block, block_of
 from bayeq.likelihood.fit import State
 from bayeq.likelihood.model import Task
+from bayeq.numerics.distributions import correlation
 from bayeq.numerics.settings import STREAMING
 from bayeq.records import Record, counts_rows, with_row_numbers
 from bayeq.records.stream import Stream, units_between
-from bayeq.regression.residuals import correlation
 from bayeq.resumable import Progress
 from bayeq.states import Motion, Roles
 from bayeq.states.bad_samples import Learned
@@ -52,7 +52,6 @@ class Extent:
 
     @property
     def n(self) -> int:
-        """Number of rows."""
         return self.stop - self.start
 
     def read(self, start: int, stop: int) -> Record:
@@ -77,7 +76,6 @@ class Unit:
 
     @property
     def n(self) -> int:
-        """Number of rows."""
         return self.stop - self.start
 
 
@@ -172,11 +170,7 @@ class Threads:
 def fold(
     work: Work[Of], units: Sequence[Unit], executor: Executor, progress: Progress, stage: str, kept: Any = None
 ) -> Of:
-    """The sum over units, of at least one, of what `work` computes.
-
-    The executor computes; `progress` is called with (stage, rows done, rows in all). The sum so far is kept in a
-    Checkpoint, if one is given, and taken from it.
-    """
+    """The sum over units, of at least one, of what `work` computes; a Checkpoint, if given, keeps it on the way."""
     # One name for both: wherever an interrupt falls, they belong together.
     so_far: tuple[int, Any] = (0, None) if kept is None else kept.load()
     rows = [0, *accumulate(unit.n for unit in units)]
@@ -196,7 +190,6 @@ def fold(
     return so_far[1]
 
 
-Counts = NDArray[np.int64]
 Columns = dict[str, Floats]
 
 #: Rows whose likelihood is computed together: of the state before them nothing is known, which costs what some hundred
@@ -220,7 +213,7 @@ class Folded:
 
     # count, means and centred products of the columns of the dictionary and the targets; None without rows
     moments: Moments | None
-    bad: Counts  # (P,), rows in which each term is not finite, or too large to square
+    bad: Ints  # (P,), rows in which each term is not finite, or too large to square
 
     def __add__(self, other: Folded) -> Folded:
         if self.moments is None or other.moments is None:
@@ -327,10 +320,7 @@ class _Rows(Work[Of]):
         return max(chain.order for chain in self.roles.chains) if estimated else 0
 
     def columns(self, unit: Unit) -> tuple[Columns, Columns, float, float]:
-        """States, inputs and targets of the rows for training and held out; times of the first and the last row.
-
-        Times that are not known are NaN.
-        """
+        """States, inputs and targets of the rows for training and held out; times of the first and last row, or NaN."""
         extent = self.extents[unit.extent]
         start, stop = max(unit.start - self.reach, extent.start), min(unit.stop + self.reach, extent.stop)
         record = extent.read(start, stop)
@@ -426,7 +416,6 @@ class ByLikelihood(Work[Block]):
         (clean,), _ = cleaned([record], roles, "auto", deepcopy(self.learned))
         pieces, _ = divided_at_gaps([clean], roles, "auto")
         block = block_of(self.task, self.state, [further_rows(piece, self.motion) for piece in pieces if piece.n > 1])
-        used = (*roles.measured, *roles.inputs)
-        missing, absent = ([int(np.isnan(one[name]).sum()) for name in used] for one in (record, clean))
+        missing, absent = ([int(np.isnan(one[name]).sum()) for name in roles.channels] for one in (record, clean))
         # samples of each channel that are missing, and that were left out as bad
         return replace(block, absent=np.array([missing, np.subtract(absent, missing)]))

@@ -183,10 +183,7 @@ def conditions_of(
     given_noise: Mapping[str, float],
     limits: Mapping[str, float],
 ) -> Conditions:
-    """What was asked for, as for `bayeq.Equations.plan`, and the rest from the record; `noise` is that of every target.
-
-    InputError for names that are not there, numbers out of range, or something that neither was given nor is known.
-    """
+    """What was asked for, see `bayeq.Equations.plan`, and the rest from the record, `noise` from the equations."""
     rate = _positive("fs", fs if fs is not None else _known(measured.fs, "the sampling rate", "fs"))
     length = seconds
     if length is None:
@@ -315,11 +312,8 @@ def shapes(design: Design, conditions: Conditions, seed: tuple[int, ...]) -> Flo
 
 
 class Motions:
-    """Free runs of some dynamics from rest, under conditions.
-
-    At rest is the equilibrium under the middle of the inputs, if there is one within the range of the record; else
-    coordinates are in the middle of their range (0 where it is not known) and derivatives 0.
-    """
+    """Free runs of some dynamics from rest: the equilibrium under the middle of the inputs, if there is one within the
+    range of the record; else coordinates are in the middle of their range (0 where it is not known)."""
 
     def __init__(self, dynamics: Dynamics, conditions: Conditions) -> None:
         self.dynamics = dynamics
@@ -358,16 +352,14 @@ class Motions:
             return None
         return dict(zip((*self.dynamics.states, *self.dynamics.roles.inputs), (*states.T, *inputs.T), strict=True))
 
-    def keeps(self, shape: Floats, share: float) -> bool:
-        """Whether a run is within the limits."""
-        columns, limits = self.run(shape, share), self.conditions.limits
-        return columns is not None and all(np.abs(columns[name]).max() <= most for name, most in limits.items())
+    def largest_share(self, realisations: Sequence[Floats]) -> float:
+        """The largest share of the amplitude with which all realisations keep the limits, 0 if not a thousandth."""
+        limits = self.conditions.limits.items()
 
+        def kept(share: float) -> bool:
+            runs = (self.run(shape, share) for shape in realisations)
+            return all(
+                run is not None and all(np.abs(run[name]).max() <= most for name, most in limits) for run in runs
+            )
 
-def largest_share(motions: Motions, realisations: Sequence[Floats]) -> float:
-    """The largest share of the amplitude with which all realisations keep the limits; 0 if not even a thousandth."""
-
-    def fits(scale: float) -> bool:
-        return all(motions.keeps(shape, scale) for shape in realisations)
-
-    return 1.0 if fits(1.0) else bisect_left(range(1, STEPS), True, key=lambda k: not fits(k / STEPS)) / STEPS
+        return 1.0 if kept(1.0) else bisect_left(range(1, STEPS), True, key=lambda k: not kept(k / STEPS)) / STEPS

@@ -54,11 +54,7 @@ class CandidateModel:
 
 
 def likeliest_models(fit: RegressionFit) -> tuple[CandidateModel, ...]:
-    """The likeliest models of a fitted regression, the likeliest first.
-
-    Those of the average; without one, the model found and those one move away, by their odds against it. An engine
-    without a spike-and-slab prior has its own model alone.
-    """
+    """The likeliest models, best first: those of the average, or the one found and, by their odds, its neighbours."""
     posterior, out = fit.posterior, []
     if posterior.average is not None:
         models, probability = posterior.average.models, posterior.average.probability
@@ -100,11 +96,9 @@ def unexplained(y: Floats, D: Floats) -> float:
     0.046
     """
     rest = y - y.mean()
-    if D.shape[1]:
-        Z, _ = _centred(D)
-        basis, sizes, _ = np.linalg.svd(Z, full_matrices=False)
-        kept = basis[:, sizes > RANK * max(float(sizes.max()), RANK)]
-        rest = rest - kept @ (kept.T @ rest)
+    basis, sizes, _ = np.linalg.svd(_centred(D)[0], full_matrices=False)
+    kept = basis[:, sizes > RANK * float(sizes.max(initial=RANK))]
+    rest = rest - kept @ (kept.T @ rest)
     return float(rest @ rest)
 
 
@@ -134,8 +128,6 @@ def seconds_until(needed: float, rate: float, occam: float, fs: float) -> float:
 
 def coefficient_gain(D: Floats, covariance: Floats, noise_variance: float) -> Floats:
     """Eigenvalues of S D'D/sigma^2 with the columns centred, (r,): the gain is half the sum of ln(1 + each)."""
-    if not D.shape[1]:
-        return np.empty(0)
     Z, scale = _centred(D)
     # in units in which the columns have length 1
     prior = covariance * np.outer(scale, scale) / noise_variance
@@ -145,10 +137,7 @@ def coefficient_gain(D: Floats, covariance: Floats, noise_variance: float) -> Fl
 
 
 def seconds_to_halve(gains: Floats, seconds: float) -> float:
-    """Time after which standard deviations are half of what they were, in the geometric mean over all directions.
-
-    `gains` are eigenvalues from `coefficient_gain` of a record of `seconds`, of all equations.
-    """
+    """Time that halves standard deviations in the geometric mean; `gains` are those of all equations in `seconds`."""
     wanted = len(gains) * math.log(2.0)
 
     def value(t: float) -> float:

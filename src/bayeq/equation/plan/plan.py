@@ -12,7 +12,7 @@ import numpy as np
 
 from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
-from bayeq.equation.plan.designs import SHARES, Conditions, Design, Motions, designs_for, largest_share, shapes
+from bayeq.equation.plan.designs import SHARES, Conditions, Design, Motions, designs_for, shapes
 from bayeq.equation.plan.information import (
     CandidateModel,
     coefficient_gain,
@@ -100,7 +100,7 @@ class _Planning:
         for k, design in enumerate(designs):
             progress("designs", k, len(designs))
             realised = [shapes(design, c, (seed, r)) for r in range(realisations)]
-            most = largest_share(self.lead, realised)
+            most = self.lead.largest_share(realised)
             tried = [share for share in SHARES if most > 0.0 and (share < most or share == SHARES[0])]
             outcomes += [self._outcome(design, realised, min(share, most)) for share in tried]
         progress("designs", len(designs), len(designs))

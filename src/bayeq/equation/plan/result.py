@@ -196,17 +196,7 @@ class Plan:
 
     def to_dict(self) -> dict[str, Any]:
         """The plan as plain data; an infinite time is null."""
-
-        def pair(one: Separation) -> dict[str, Any]:
-            rival = self.rivals[one.rival]
-            return {
-                **asdict(one),
-                "target": rival.target,
-                "rival": rival.name,
-                "seconds": finite(one.seconds),
-                "by_size": finite(one.by_size),
-            }
-
+        names = [{"target": rival.target, "rival": rival.name} for rival in self.rivals]
         return {
             "advice": advice(self),
             "purpose": self.purpose,
@@ -225,7 +215,7 @@ class Plan:
                     "sd": one.sd,
                     "seconds": finite(one.seconds),
                     "peaks": dict(one.peaks),
-                    "rivals": [pair(separation) for separation in one.separations],
+                    "rivals": [finite({**asdict(pair), **names[pair.rival]}) for pair in one.separations],
                 }
                 for one in self.outcomes
             ],

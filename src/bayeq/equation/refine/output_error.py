@@ -99,10 +99,7 @@ class Known:
 
     @classmethod
     def of(cls, dynamics: Dynamics, constraints: Sequence[Constraints]) -> Self:
-        """What constraints, one per equation, say of the terms that the equations have.
-
-        InputError: terms that do not go together with the constraints, or nothing is left free.
-        """
+        """What constraints, one per equation, say of its terms; InputError if they do not fit, or leave none free."""
         size = dynamics.size
         offset, basis = np.zeros(size), np.zeros((size, size))
         free, limits = np.ones(size, dtype=np.bool_), np.tile([-np.inf, np.inf], (size, 1))
@@ -143,11 +140,8 @@ class Known:
 def output_error(
     motion: Motion, dynamics: Dynamics, parameters: Floats, known: Known, kinds: Sequence[Interpolation]
 ) -> OutputError | Unrefined:
-    """Parameters by output error, (p,), fitted to the training rows of a smoothed motion.
-
-    `parameters` are where to start. Of the courses of inputs between samples (`kinds`) the first is taken, unless
-    others are much likelier.
-    """
+    """Output error on the training rows of a smoothed motion, from `parameters`, with the first of `kinds` of inputs'
+    courses between samples, unless others are much likelier."""
     best: OutputError | None = None
     failed: Unrefined | None = None
     for kind in kinds:

@@ -104,10 +104,8 @@ def refine(
     """Output-error estimate of the coefficients and intercepts; see `bayeq.Equations.refine`.
 
     `before` are the equations by regression, with all intercepts; `dynamics` the same with the intercepts that are
-    estimated, the others are set to zero. Constraints are those of each equation. Known noise of channels is not
-    estimated. Inputs go between their samples as is given of all of them, or by what is likeliest, found before or one
-    of `KINDS`. Where equations are refined, free runs over windows of the rows used are no worse than before; see
-    `runs_are_worse`. Scores are those of the rows held out.
+    estimated, the others are set to zero. Inputs go between their samples as is given of all of them, or by what is
+    likeliest, found before or one of `KINDS`. Free runs over windows of the rows used do not become worse.
 
     InputError: channels that are missing, no time, too few rows, nothing that constraints leave free.
     """

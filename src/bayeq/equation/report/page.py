@@ -151,11 +151,7 @@ def without_maths(label: str) -> str:
 
 
 def as_bokeh(axes: Sequence[Any]) -> Any:
-    """A Bokeh model of axes of one matplotlib figure, one below the other, with the horizontal axis in common.
-
-    Lines, filled bands, bars, images and texts at data are taken over; marks that have no label are drawn without hover
-    values.
-    """
+    """A Bokeh model of axes of one matplotlib figure, one below the other, with the horizontal axis in common."""
     from bokeh.layouts import column
 
     plots: list[Any] = []
@@ -329,11 +325,7 @@ def require_report() -> None:
 def write_report(
     path: Path, eq: Answer, records: Sequence[Record], files: Sequence[Path], command: str | None = None
 ) -> None:
-    """Write the page, which is replaced whole, or not at all.
-
-    Pictures are of the first record; without records, of the equations alone. Hashes are those of the files that the
-    records were read from, or of the records where none are given. The command gives the answer again; by default one
-    is made of what the equations know.
+    """Write the page, see `bayeq.Equations.report`, whole or not at all; without files hashes are of the records.
 
     InputError if a file cannot be read, or the page not be written; MissingExtraError without matplotlib or Bokeh.
     """
@@ -531,31 +523,25 @@ def repeat_command(eq: Answer) -> str:
         else:
             words += ["--target", chain.target] if chain.static else ["--chain", text]
     words += ["--discrete"] * eq.roles.discrete
-    for name in eq.inputs:
-        if not EARLIER.fullmatch(name) and name not in eq.numbers:  # which terms ask for
-            words += ["--input", name]
     refused = {one.state for one in eq.hidden} - {*eq.states}
     gone = {"d" * k + state for state in refused for k in range(3)}  # with its rates
-    dictionary = without_names(eq.dictionary, gone, FAMILIES.keys())
-    words += ["--dictionary", dictionary, "--method", eq.method, "--smooth", eq.smooth]
-    words += ["--differs", ", ".join(eq.differing)] if eq.numbers else []
-    for constraint in eq.constraints:
-        conserved = constraint.endswith(CONSERVED)
-        words += ["--conserve" if conserved else "--constraint", constraint.removesuffix(CONSERVED)]
-    readings = eq.data.sensors.of_reading
-    for name, share in readings.items():
-        words += ["--noise", f"{name}={f'{100 * share:.6g}' if share else ''}% of reading"]
-    for name, sd in eq.data.sensors.noise.items():
-        if name not in readings and not EARLIER.fullmatch(name):
-            words += ["--noise", f"{name}={sd:.6g}"]
-    for name, sd in eq.data.sensors.gain_sd.items():
-        words += ["--gain-sd", f"{name}={sd:.6g}"]
-    for name, lag in eq.data.sensors.lags.items():
-        words += ["--lag-sd", f"{name}={lag.prior_sd:.6g}"]
-    if eq.data.sensors.tails != "gauss":
-        words += ["--tails", eq.data.sensors.tails]
-    if eq.data.band is not None:
-        words += ["--band", "{:g}:{:g}".format(*eq.data.band)]
-    if eq.refined is not None:
-        words.append("--refine")
-    return shlex.join(words)
+    sensors = eq.data.sensors
+    noise = {name: f"{f'{100 * share:.6g}' if share else ''}% of reading" for name, share in sensors.of_reading.items()}
+    asked = [name for name in (*eq.inputs, *sensors.noise) if not EARLIER.fullmatch(name)]  # others terms ask for
+    noise |= {name: f"{sd:.6g}" for name, sd in sensors.noise.items() if name in asked and name not in noise}
+    options: dict[str, Sequence[str]] = {
+        "--input": [name for name in eq.inputs if name in asked and name not in eq.numbers],
+        "--dictionary": [without_names(eq.dictionary, gone, FAMILIES.keys())],
+        "--method": [eq.method],
+        "--smooth": [eq.smooth],
+        "--differs": [", ".join(eq.differing)] if eq.numbers else [],
+        "--constraint": [text for text in eq.constraints if not text.endswith(CONSERVED)],
+        "--conserve": [text.removesuffix(CONSERVED) for text in eq.constraints if text.endswith(CONSERVED)],
+        "--noise": [f"{name}={value}" for name, value in noise.items()],
+        "--gain-sd": [f"{name}={sd:.6g}" for name, sd in sensors.gain_sd.items()],
+        "--lag-sd": [f"{name}={lag.prior_sd:.6g}" for name, lag in sensors.lags.items()],
+        "--tails": [sensors.tails] if sensors.tails != "gauss" else [],
+        "--band": [] if eq.data.band is None else ["{:g}:{:g}".format(*eq.data.band)],
+    }
+    words += [word for option, values in options.items() for value in values for word in (option, value)]
+    return shlex.join([*words, "--refine"] if eq.refined else words)

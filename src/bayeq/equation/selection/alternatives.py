@@ -53,9 +53,8 @@ def alternatives_to(fit: RegressionFit, shown: Posterior, tolerance: float, exac
     """Models of the posterior whose predictions differ from those of the equation shown by more than a tolerance.
 
     Of an exact law those too that damp otherwise: damping explains next to nothing, and yet decides how motion decays.
-    The fit has a model average, without one there are no alternatives. What is shown is in original units and, where it
-    is a projection, of the full model. The tolerance is a root mean square difference, as a share of the target's
-    standard deviation.
+    What is shown is in original units and, where it is a projection, of the full model. The tolerance is a root mean
+    square difference, as a share of the target's standard deviation.
     """
     average = fit.posterior.average
     if average is None:
@@ -114,9 +113,8 @@ def _points(motion: Motion, terms: Sequence[Expression]) -> list[dict[str, Float
 
 
 def bounds(fit: RegressionFit) -> Floats | None:
-    """Below what the size of each coefficient is, with a probability of 95 % or more, were its term added.
+    """Below what the size of each coefficient is, with a probability of 95 % or more, were its term added, (P,).
 
-    The end of the 95 % interval that is further from zero, of the included terms and this one: (P,), in original units,
     NaN for terms that are included or depend on these, are tied to others by equalities, or are candidates of other
     equations only. None of very many.
     """
@@ -145,8 +143,6 @@ def undetermined(fit: RegressionFit, found: Posterior, bound: Floats | None) -> 
     """Terms that, at their bound, could change predictions by more than a tolerance; the simplest first.
 
     With such a term the included ones have other coefficients, those that make up for it in the record.
-
-    The fit is one without equalities, what was found is in original units, and the bounds (P,) are those of `bounds`.
     """
     if bound is None or len(fit.constraints.equalities.eliminated):
         return ()

@@ -44,10 +44,9 @@ class Repeating(NamedTuple):
 
 
 def repeating(motion: Motion, terms: Sequence[Expression]) -> Repeating | None:
-    """Whether all records of some motion run along closed curves that do not tell the candidates apart.
+    """Whether all records of some motion run along closed curves that do not tell the candidates apart; None if not.
 
-    None where the motion does not repeat itself, tells the candidates apart, or has no time; and of maps, which are as
-    white as noise where they are chaotic.
+    None too of maps, which are as white as noise where they are chaotic.
     """
     drivers = motion.roles.inputs
     if not motion.timed or motion.roles.discrete or any(TIME in term.names for term in terms):
@@ -87,7 +86,8 @@ def _closed_curve(
     names = [*states, *inputs, *targets]
     samples = {name: np.asarray(rows.samples.get(name, rows.columns[name]), dtype=np.float64) for name in names}
     samples = {name: np.where(np.isfinite(one), one, rows.columns[name]) for name, one in samples.items()}
-    frequency = _frequency(time, np.column_stack([_standard(samples[name]) for name in (*states, *inputs)]))
+    moving = (samples[name] for name in (*states, *inputs))
+    frequency = _frequency(time, np.column_stack([(one - one.mean()) / (one.std() or 1.0) for one in moving]))
     if frequency is None:
         return None
     curve: dict[str, Floats] = {}
@@ -153,7 +153,3 @@ def _is_noise(left: Floats, step: float, below: float) -> bool:
         return True
     share = float(power[:inside].sum() / power.sum())
     return 1.0 - incomplete_beta(inside, len(power) - inside, share) > SELECTION.not_noise
-
-
-def _standard(values: Floats) -> Floats:
-    return np.asarray((values - values.mean()) / (values.std() or 1.0))

@@ -131,9 +131,8 @@ class Selection:
 def select(fits: Sequence[RegressionFit], rules: Rules, motion: Motion, whole: bool = False) -> list[Selection]:
     """The terms that each equation of a system shows.
 
-    There is a fit for each equation. Free runs are compared on the training rows of the motion; without time no smaller
-    model is shown, nor of a static law, whose terms no run depends on. With `whole`, for terms are in several equations
-    together, all included terms are shown. InputError if more terms are forced in than `max_terms`.
+    Without time no smaller model is shown, nor of a static law, whose terms no run depends on. With `whole`, for terms
+    are in several equations together, all included terms are shown. InputError if more are forced in than `max_terms`.
     """
     chosen = [Selection(fit, fit.posterior) for fit in fits]
     if whole:
@@ -199,10 +198,9 @@ def likeliest_instead(
 ) -> Posterior | None:
     """The likeliest model of equation k, of which `fit` is, where the included terms are not what the average says.
 
-    Collinear terms share their probability, so that none of several forms of damping may reach 0.5, however sure it is
-    that there is damping. The average has it. So where the predictions or free runs of the included terms are further
-    from its than the tolerance, and those of the likeliest model less so, that is the one to show. `found` are the
-    posteriors of every equation given its included terms; `runs` gives errors of free runs, None without time.
+    So it is where predictions or free runs of the included terms are further from those of the average than the
+    tolerance, and those of the likeliest model less so (rule 2). `found` are the posteriors of every equation given its
+    included terms; `runs` gives errors of free runs, None without time.
     """
     included = found[k]
     if included.average is None or included.averaged is None or not len(included.average.models):

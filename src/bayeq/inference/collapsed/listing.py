@@ -67,8 +67,7 @@ class ModelSet:
     def pip(self, tolerance: float) -> tuple[Floats, bool]:
         """Inclusion probabilities, (P,), and whether they are known to a tolerance.
 
-        Where the set leaves out more than the tolerance they are the average of those given the other terms, and known
-        if the set itself says the same: two estimates of one number, of which this is the better one.
+        Where the set leaves out more they are the average of those given the other terms, known if the set agrees.
         """
         listed = np.minimum(shares(self.models, self.weights), 1.0)
         if self.left_out <= tolerance * (1.0 + 1e-9) or self.inclusion is None:
@@ -105,15 +104,13 @@ def model_scores(p: Problem, free: Ints, base: Bools) -> Floats:
     return levels
 
 
-def enumerate_models(problem: Problem) -> ModelSet:
-    """All models, each by a Cholesky factor of its own. Meant for up to about 20 terms that are neither forced nor
-    forbidden."""
+def enumerate_models(problem: Problem, window: float = FORGET) -> ModelSet:
+    """All models of up to some 20 free terms, but those less likely than the best by more nats than the window."""
     free = np.flatnonzero(np.isfinite(problem.log_odds))
     base = problem.log_odds == math.inf
     levels = model_scores(problem, free, base)
     order = np.argsort(-levels, kind="stable")
-    # models too unlikely to matter in double precision are dropped
-    order = order[levels[order] > levels[order[0]] - 40.0]
+    order = order[levels[order] > levels[order[0]] - window]
     models = np.repeat(base[None, :], len(order), axis=0)
     for bit, j in enumerate(free):
         models[:, j] = (order >> bit) & 1
@@ -161,10 +158,7 @@ def _pop(heap: Ints, size: int | np.int64, scores: Floats) -> int:
 
 
 class _Listing(NamedTuple):
-    """Models met, (room, P), with their scores and keys; a table of these; a heap of those to expand; how many of both.
-
-    `counts` are the number of models and the size of the heap.
-    """
+    """Models met, (room, P), their scores and keys, a table of these, a heap of those to expand; how many of both."""
 
     models: Bools
     scores: Floats
@@ -226,10 +220,7 @@ def _search(
     keep: float,
     inclusion: Floats,
 ) -> tuple[float, int]:
-    """Best-first search; returns the estimate of the mass left out and the number expanded.
-
-    `inclusion` becomes the inclusion probabilities given the other terms, averaged over the models expanded.
-    """
+    """Best-first search; returns the estimate of the mass left out and the number expanded, and fills `inclusion`."""
     models, scores, keys, _, heap, counts = listing
     terms = len(p.Dty)
     for k in range(len(starts)):
@@ -298,11 +289,8 @@ def _search(
 
 
 def search_models(problem: Problem, tolerance: float = 5e-3, known: Sequence[Bools] = ()) -> ModelSet:
-    """Models that hold all but a share `tolerance` of the posterior mass, from the local optima of `best_models` on.
-
-    These are climbed to from `known` models too.
-    The search also ends when the room for models or the number of moves is used up: `left_out` then tells.
-    """
+    """Models that hold all but a share `tolerance` of the mass, from the local optima of `best_models` on, as far as
+    room and moves allow: `left_out` then tells. These are climbed to from `known` models too."""
     found, terms = best_models(problem, known), len(problem.Dty)
     most = int(min(MOST_MODELS, max(1000, MOST_BYTES // max(terms, 1))))
     zobrist = np.random.default_rng(0x5EED).integers(1, 2**63, size=terms, dtype=np.uint64)

@@ -13,7 +13,7 @@ import numpy as np
 
 from bayeq.arrays import Bools, Floats
 from bayeq.errors import InputError, whole_number
-from bayeq.inference.collapsed.listing import ENUMERATE, model_scores
+from bayeq.inference.collapsed.listing import ENUMERATE, enumerate_models
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import STAY, best_models, explore, log_constant, scores_of
 from bayeq.inference.collapsed.tableau import MOST_ACTIVE
@@ -36,10 +36,7 @@ WINDOW = 40.0
 
 
 def path_sizes(problem: Problem, most: int | None = None) -> range:
-    """Sizes that a path goes through: from the number of forced terms to `most`.
-
-    InputError: `most` is no whole number, negative, or less than the number of forced terms.
-    """
+    """Sizes that a path goes through: from the number of forced terms to `most`, or an InputError if that is less."""
     forced = int(np.sum(problem.log_odds == math.inf))
     allowed = min(int(np.sum(problem.log_odds > -math.inf)), MOST_ACTIVE)
     if most is None:
@@ -55,14 +52,10 @@ def best_of_each_size(
 ) -> list[tuple[Bools, float]]:
     """The model with the highest log posterior (34) among those of each size, from the smallest on, with ln p(y, z).
 
-    Up to 14 free terms all models are evaluated. With more, the best few models of each size are improved by each
-    other: their neighbours by a term more, a term less or a swap, until none of these is better (a forward and backward
-    selection with exchanges, Pudil, Novovicova and Kittler 1994, on the exact posterior). The search starts from
-    `starts`, (P,) each, too.
-
-    The smallest model is that of the forced terms alone, the largest has 12 terms by default, or as many as there are.
-    Where limits (P, 2) of coefficients are known all models are searched, however few terms there are. InputError:
-    `most` is less than the number of forced terms.
+    Up to 14 free terms, without limits (P, 2), all models are evaluated. With more, the best few models of each size
+    are improved by each other: their neighbours by a term more, a term less or a swap, until none of these is better (a
+    forward and backward selection with exchanges, Pudil, Novovicova and Kittler 1994, on the exact posterior), from
+    `starts`, (P,) each, too. Sizes are those of `path_sizes`.
     """
     sizes = path_sizes(problem, most)
     if limits is None and int(np.isfinite(problem.log_odds).sum()) <= ENUMERATE:
@@ -95,49 +88,24 @@ def _scores(problem: Problem, models: Bools, limits: Floats | None) -> Floats:
 
 
 def _by_enumeration(problem: Problem, sizes: range) -> list[Bools]:
-    free = np.flatnonzero(np.isfinite(problem.log_odds))
-    base = problem.log_odds == math.inf
-    levels = model_scores(problem, free, base)
-    codes = np.arange(len(levels))
-    count = np.bitwise_count(codes)
-    out = []
-    for size in range(len(sizes)):
-        of_size = np.flatnonzero(count == size)
-        model = base.copy()
-        model[free] = (of_size[np.argmax(levels[of_size])] >> np.arange(len(free))) & 1
-        out.append(model)
-    return out
+    models = enumerate_models(problem, math.inf).models
+    count = models.sum(axis=1)
+    return [models[np.argmax(count == size)] for size in sizes]
 
 
-class _Pool:
-    """The best few models of one size, and which of them have been expanded."""
-
-    def __init__(self) -> None:
-        self.scores: dict[bytes, float] = {}
-        self.expanded: set[bytes] = set()
-        self.lowest = -math.inf
-
-    def add(self, model: Bools, value: float) -> None:
-        key = model.tobytes()
-        if key in self.scores or not value > self.lowest + TOLERANCE:
-            return
-        self.scores[key] = value
-        if len(self.scores) > WIDTH:
-            del self.scores[min(self.scores, key=self.scores.__getitem__)]
-        if len(self.scores) == WIDTH:
-            self.lowest = min(self.scores.values())
-
-    def waiting(self) -> list[bytes]:
-        """Models not expanded yet, best first."""
-        fresh = [key for key in self.scores if key not in self.expanded]
-        return sorted(fresh, key=lambda key: -self.scores[key])
-
-    def best(self) -> Bools:
-        return np.frombuffer(max(self.scores, key=self.scores.__getitem__), dtype=np.bool_).copy()
+def _offer(pool: dict[bytes, float], model: Bools, value: float) -> None:
+    """Keep a model with its score in the pool of its size, if it is one of the best few."""
+    key = model.tobytes()
+    if key in pool or (len(pool) == WIDTH and not value > min(pool.values()) + TOLERANCE):
+        return
+    pool[key] = value
+    if len(pool) > WIDTH:
+        del pool[min(pool, key=pool.__getitem__)]
 
 
 def _by_search(problem: Problem, sizes: range, starts: Iterable[Bools], limits: Floats | None = None) -> list[Bools]:
-    pools = {size: _Pool() for size in range(sizes.start, sizes.stop + 1)}
+    pools: dict[int, dict[bytes, float]] = {size: {} for size in range(sizes.start, sizes.stop + 1)}
+    expanded: set[bytes] = set()
     forced, forbidden = problem.log_odds == math.inf, problem.log_odds == -math.inf
     optima = [model for _, model in best_models(problem)]
     for start in [forced, *optima, *((model | forced) & ~forbidden for model in starts)]:
@@ -146,39 +114,35 @@ def _by_search(problem: Problem, sizes: range, starts: Iterable[Bools], limits: 
         size = int(active.sum())
         while size >= sizes.start:
             if size in pools:
-                pools[size].add(active, float(_scores(problem, active[None, :], limits)[0]))
+                _offer(pools[size], active, float(_scores(problem, active[None, :], limits)[0]))
             if size == sizes.start:
                 break
             out, into, gains = explore(problem, active[None].copy(), STAY, math.inf)[1]
             active[out[np.argmax(np.where(into < 0, gains, -math.inf))]] = False
             size -= 1
     while True:
+        waiting = [(size, key) for size, pool in pools.items() for key in pool if key not in expanded]
+        if not waiting:
+            found = (max(pools[size], key=pools[size].__getitem__) for size in sizes)
+            return [np.frombuffer(key, dtype=np.bool_).copy() for key in found]
         # the smallest first: they are the cheapest, and their neighbours improve the larger ones
-        waiting = next(((size, key) for size, pool in pools.items() for key in pool.waiting()), None)
-        if waiting is None:
-            return [pools[size].best() for size in sizes]
-        _expand(problem, limits, pools, *waiting)
-
-
-def _expand(problem: Problem, limits: Floats | None, pools: dict[int, _Pool], size: int, key: bytes) -> None:
-    """Offer the neighbours of a model to the pools of their sizes."""
-    pools[size].expanded.add(key)
-    active = np.frombuffer(key, dtype=np.bool_)
-    here = pools[size].scores[key]
-    out, into, gains = explore(problem, active[None].copy(), STAY, math.inf)[1]
-    for other in (size + 1, size - 1, size):
-        if other not in pools:
-            continue
-        moves = np.flatnonzero((into >= 0) * 1 - (out >= 0) * 1 == other - size)
-        if limits is None and len(moves) > WIDTH:
-            moves = moves[np.argpartition(-gains[moves], WIDTH)[:WIDTH]]
-        models = np.repeat(active[None, :], len(moves), axis=0)
-        for terms, inside in ((out[moves], False), (into[moves], True)):
-            rows = np.flatnonzero(terms >= 0)
-            models[rows, terms[rows]] = inside
-        values = here + gains[moves] if limits is None else _scores(problem, models, limits)
-        for model, value in zip(models, values, strict=True):
-            pools[other].add(model, float(value))
+        size, key = min(waiting, key=lambda one: (one[0], -pools[one[0]][one[1]]))
+        expanded.add(key)
+        active, here = np.frombuffer(key, dtype=np.bool_), pools[size][key]
+        out, into, gains = explore(problem, active[None].copy(), STAY, math.inf)[1]
+        for other in (size + 1, size - 1, size):
+            if other not in pools:
+                continue
+            moves = np.flatnonzero((into >= 0) * 1 - (out >= 0) * 1 == other - size)
+            if limits is None and len(moves) > WIDTH:
+                moves = moves[np.argpartition(-gains[moves], WIDTH)[:WIDTH]]
+            models = np.repeat(active[None, :], len(moves), axis=0)
+            for terms, inside in ((out[moves], False), (into[moves], True)):
+                rows = np.flatnonzero(terms >= 0)
+                models[rows, terms[rows]] = inside
+            values = here + gains[moves] if limits is None else _scores(problem, models, limits)
+            for model, value in zip(models, values, strict=True):
+                _offer(pools[other], model, float(value))
 
 
 def partial_shares(gram: Gram, active: Bools) -> Floats:
@@ -195,8 +159,6 @@ def partial_shares(gram: Gram, active: Bools) -> Floats:
     """
     out = np.full(len(active), np.nan)
     index = np.flatnonzero(active)
-    if not len(index):
-        return out
     sd = np.sqrt(gram.diagonal[index])
     if not (gram.yty > 0.0 and (sd > 0.0).all()):
         out[index] = 0.0

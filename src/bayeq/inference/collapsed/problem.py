@@ -107,10 +107,7 @@ class Problem(NamedTuple):
 
     @classmethod
     def of(cls, gram: GramLike, prior: Prior) -> Problem:
-        """The problem that a Gram and a prior pose.
-
-        InputError: prior parameters out of range.
-        """
+        """The problem that a Gram and a prior pose; an InputError refuses prior parameters out of range."""
         terms = len(gram.names)
         prior.validate(terms)
         return cls(

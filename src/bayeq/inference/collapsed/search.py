@@ -19,7 +19,6 @@ from bayeq.kernels import kernel
 FULL_START_TERMS = 128
 RVM_START_TERMS = 500
 
-
 # What becomes of the models that are given to `explore`.
 STAY, FLIP, SWAP = 0, 1, 2
 
@@ -51,10 +50,9 @@ def _moves(p: Problem, active: Bools, window: float) -> tuple[Ints, Ints, Floats
 
 @kernel
 def explore(p: Problem, models: Bools, way: int, window: float) -> tuple[Floats, tuple[Ints, Ints, Floats]]:
-    """Scores of models, and `_moves` from the best one.
+    """Scores of models, and `_moves` from the best one, in one kernel: each takes its time to load.
 
-    Each model first climbs, in place, by flips (`way` is FLIP), by flips and swaps (SWAP), or not at all (STAY). One
-    kernel does it all: each takes its time to compile and to load.
+    Each model first climbs, in place, by flips (`way` is FLIP), by flips and swaps (SWAP), or not at all (STAY).
     """
     scores, best = np.empty(len(models)), 0
     for k in range(len(models)):
@@ -89,10 +87,8 @@ def log_constant(problem: Problem) -> float:
 
 
 def best_models(problem: Problem, known: Sequence[Bools] = ()) -> list[tuple[float, Bools]]:
-    """Distinct local optima of ln p(y, z) under flips and swaps from `default_starts` and `known` ones, best first.
-
-    Each with its score, which is ln p(y, z) up to `log_constant`.
-    """
+    """Distinct local optima of ln p(y, z) under flips and swaps from `default_starts` and `known` models, best first,
+    with scores."""
     models = np.array([*default_starts(problem), *known], dtype=np.bool_)
     return _ranked(explore(problem, models, SWAP, -math.inf)[0], models)
 
@@ -165,10 +161,7 @@ def greedy_model(problem: Problem) -> Bools:
 
 
 def default_starts(problem: Problem) -> list[Bools]:
-    """Where a search climbs from: the empty model, and all terms or, where these are many, the RVM's support.
-
-    From all terms and from the RVM's support the same model is reached as good as always.
-    """
+    """Where a search climbs from: the empty model, and all terms or, where these are many, the RVM's support."""
     terms = len(problem.Dty)
     starts = [np.zeros(terms, dtype=np.bool_)]
     if terms <= FULL_START_TERMS:
@@ -179,11 +172,7 @@ def default_starts(problem: Problem) -> list[Bools]:
 
 
 def candidate_models(problem: Problem, starts: list[Bools], window: float = 2.0, limit: int = 6) -> list[Bools]:
-    """The best models found from some and those one move away, within `window` nats of the best and at most `limit`.
-
-    Mean-field indicators let VB gain a fraction of a nat on a model with undecided terms, so that its optimum
-    may belong to a model slightly below the best one.
-    """
+    """The best models found from some and those a move away, within `window` nats of the best, at most `limit`."""
     climbed = np.array(starts, dtype=np.bool_)
     scores, moves = explore(problem, climbed, SWAP, window)
     found = _ranked(scores, climbed)

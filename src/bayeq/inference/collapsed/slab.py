@@ -32,10 +32,7 @@ LEAST_RESIDUAL = 1e-6
 
 
 def _best_slab(p: Problem, active: Bools, lowest: float) -> tuple[float, float]:
-    """ln v_s >= lowest that maximises the log posterior of one model, and that maximum.
-
-    The log posterior (34) of all v_s follows from the eigenvalues of D_r'D_r.
-    """
+    """ln v_s >= lowest that maximises the log posterior (34) of one model, by eigenvalues of D_r'D_r; that maximum."""
     index = np.flatnonzero(active)
     values, vectors = np.linalg.eigh(gram_block(p.columns, index))
     values = np.maximum(values, np.finfo(float).eps * values.max(initial=0.0))[:, None]
@@ -55,10 +52,8 @@ def _best_slab(p: Problem, active: Bools, lowest: float) -> tuple[float, float]:
 def learn_slab_variance(gram: GramLike, prior: Prior, floor: float = 10.0) -> float:
     """v_s that maximises the evidence of the best model of a standardised Gram, not below `floor`, the paper's 10.
 
-    With the noise small against the signal, v_s = 10 lets coefficients of standardised columns, which are of the size
-    of the signal-to-noise ratio, be shrunk and split among correlated terms. Model and v_s are maximised in turn, from
-    the floor and from the signal-to-noise ratio y'y/RSS of all terms together. All of the prior but its slab variance
-    is used.
+    With little noise v_s = 10 lets coefficients be shrunk and split among correlated terms. Model and v_s are maximised
+    in turn, from the floor and from the signal-to-noise ratio y'y/RSS of all terms together.
     """
     problem = Problem.of(gram, prior)
     lowest = math.log(floor)
@@ -80,10 +75,8 @@ def learn_slab_variance(gram: GramLike, prior: Prior, floor: float = 10.0) -> fl
 def residual_scale(gram: Gram) -> float:
     """Standard deviation of what all terms together leave of y: the unit in which the noise prior applies.
 
-    b_sigma is not scale free. In units of y, IG(1e-4, 1e-4) weighs on the noise once it falls to about 0.1 % of
-    the signal; in units of the least-squares residual it never does. With hardly more rows than terms there is
-    no such residual, and that of a quarter as many terms as there are rows, chosen by forward selection, takes its
-    place.
+    In units of y IG(1e-4, 1e-4) weighs on the noise once it falls to about 0.1 % of the signal. With hardly more rows
+    than terms the residual is that of a quarter as many terms as there are rows, chosen by forward selection.
     """
     sd = math.sqrt(gram.yty / gram.n)
     spare = gram.n - 1 - len(gram.names)
@@ -100,11 +93,7 @@ def residual_scale(gram: Gram) -> float:
 
 
 def _parameters(problem: Problem, active: Bools) -> tuple[Floats, Floats, float]:
-    """Mean (r,) of the active theta, their covariance in units of sigma^2 (r, r), and the mean of sigma^2.
-
-    theta | sigma^2 is Gaussian with mean a_r and covariance sigma^2 A_r, eq. (33), and sigma^2 inverse-Gamma(h, s/2),
-    whose mean is s/2/(h - 1).
-    """
+    """Mean (r,) of the active theta, their covariance in units of sigma^2 (r, r), eq. (33), and the mean of sigma^2."""
     p, index = problem, np.flatnonzero(active)
     A = gram_block(p.columns, index)
     A[np.diag_indices_from(A)] += 1.0 / p.slab_variance
@@ -144,10 +133,7 @@ def exact_posterior(problem: Problem, active: Bools, limits: Floats | None = Non
 
 
 def likeliest_by_rows(gram: Gram, allowed: Bools | None = None, most: float = math.inf) -> tuple[Bools, Floats]:
-    """The likeliest model of a regression, cut down to `most` terms, and its coefficients, (P,) each.
-
-    The slab variance of the paper's prior is learned; only terms that are `allowed` may be in.
-    """
+    """The likeliest model of a regression, of `most` terms that are `allowed`, and its coefficients, (P,) each."""
     standard = gram.standardise(residual_scale(gram))
     first = Prior() if allowed is None else Prior(prior_inclusion=np.where(allowed, 0.1, 0.0))
     prior = replace(first, slab_variance=learn_slab_variance(standard.gram, first))

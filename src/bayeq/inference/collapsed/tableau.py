@@ -72,8 +72,7 @@ def build(columns: Columns, Dty: Floats, yty: float, ridge: float) -> Tableau:
 def _sweep(T: Tableau, pivot_row: Floats, j: int, pivot: float, skip: int) -> None:
     """Rank-one update of everything kept but row `skip`, by the row of term j before its own scaling.
 
-    Both factors of the update are that row: taken from row and column they would let the rounding asymmetry of M grow
-    from flip to flip.
+    Both factors are that row: from row and column the rounding asymmetry of M would grow from flip to flip.
     """
     p = len(T.partial)
     size = abs(pivot)
@@ -183,11 +182,8 @@ def renew(p: Problem, T: Tableau, active: Bools) -> None:
 def strayed(columns: Columns, Dty: Floats, yty: float, ridges: Floats, floor: float, T: Tableau) -> bool:
     """Whether rounding has spoilt a tableau that was led from model to model, so that it must be swept again.
 
-    Each time that a column enters which the model nearly spans, what earlier flips left of rounding is magnified by its
-    variance inflation. So M_yy, M_jy and M_jj are compared to what they are by definition given the active rows,
-    b - sum_a M_ja b_a with the b of the Gram. About the price of one flip.
-
-    `ridges` (P,) holds the ridge of each term, `floor` the least s that counts.
+    M_yy, M_jy and M_jj are compared to what they are by definition given the active rows, b - sum_a M_ja b_a with the b
+    of the Gram. About the price of one flip. `ridges` (P,) are those of each term, `floor` the least s that counts.
     """
     terms, r = len(Dty), T.size[0]
     s = max(T.diagonal[terms], floor)
@@ -232,15 +228,9 @@ def move_to(p: Problem, T: Tableau, current: Bools, model: Bools) -> None:
         renew(p, T, current)
 
 
-@kernel
 def active_block(T: Tableau, index: Ints) -> Floats:
     """A^-1 of the active terms `index`, (r, r)."""
-    r = len(index)
-    out = np.empty((r, r))
-    for a in range(r):
-        for b in range(r):
-            out[a, b] = -T.rows[T.row[index[a]], index[b]]
-    return out
+    return -T.rows[np.ix_(T.row[index], index)]
 
 
 @kernel
@@ -285,10 +275,7 @@ def flip_gains(p: Problem, T: Tableau, out: Floats) -> None:
 
 @kernel
 def swap_gains(p: Problem, T: Tableau, i: int, out: Floats) -> None:
-    """Change of the log posterior when active term i leaves and each inactive one enters, into `out`.
-
-    -inf where one of them may not.
-    """
+    """Change of the log posterior as active term i is replaced by each inactive one, into `out`; -inf: forbidden."""
     diagonal, partial, row, log_odds = T.diagonal, T.partial, T.row, p.log_odds
     own = T.rows[row[i]]
     floor, h, s, price = p.floor, p.h, max(diagonal[-1], p.floor), log_odds[i]
@@ -319,11 +306,7 @@ def best_swap(p: Problem, T: Tableau, least: float) -> tuple[float, int, int]:
 
 @kernel
 def climb(p: Problem, T: Tableau, active: Bools, swaps: bool) -> float:
-    """Steepest ascent from the model in `active` by flips, and with `swaps` by swaps where no flip improves.
-
-    T and `active` are changed in place; returns the log posterior gained. Forced and forbidden terms are left
-    as they are.
-    """
+    """Steepest ascent from a model, in place, by flips, and with `swaps` where none improves by swaps; its gain."""
     terms = len(active)
     gained = 0.0
     gains = np.empty(terms)
@@ -350,10 +333,7 @@ def climb(p: Problem, T: Tableau, active: Bools, swaps: bool) -> float:
 
 @kernel
 def score(p: Problem, active: Bools, slab_variance: float) -> float:
-    """Log posterior of one model up to the constant of `search.log_constant`, from scratch, at any v_s.
-
-    Cholesky of A, so that it carries none of a tableau's drift.
-    """
+    """Log posterior of one model up to `search.log_constant`, at any v_s, by Cholesky: it does not drift."""
     index = np.empty(len(active), np.int64)
     r = 0
     for j in range(len(active)):
@@ -391,10 +371,7 @@ def score(p: Problem, active: Bools, slab_variance: float) -> float:
 
 
 def residual_sum(p: Problem) -> float:
-    """Residual sum of squares of all terms together; 0 where there are as many terms as degrees of freedom.
-
-    It is the square of the last pivot of the Cholesky factor of [[D'D, D'y], [y'D, y'y]].
-    """
+    """Residual sum of squares of all terms together; 0 where there are as many terms as degrees of freedom."""
     if len(p.Dty) >= p.dof:
         return 0.0
     DtD, Dty = p.DtD, p.Dty

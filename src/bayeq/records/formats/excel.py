@@ -58,8 +58,6 @@ def read_columns(path: Path, *, names: Names = None, chosen: Select | None = Non
 def without_sheet(path: Path) -> tuple[Path, str | None]:
     """A path and the sheet that is named behind it.
 
-    Examples
-    --------
     >>> without_sheet(Path("book.xlsx[Run 1]"))
     (PosixPath('book.xlsx'), 'Run 1')
     """

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import NamedTuple, TypeVar
@@ -306,8 +307,6 @@ def _rigol(rows: Sequence[str], start: int, delimiter: str | None) -> Table | No
 def stated_step(lines: Sequence[str]) -> float | None:
     """The time step [s] that lines above a table state, as a step or as a rate.
 
-    Examples
-    --------
     >>> stated_step(["Sample Interval,4.0E-3"]), stated_step(["Sampling rate: 2 kHz"]), stated_step(["x,v"])
     (0.004, 0.0005, None)
     """
@@ -356,22 +355,16 @@ def is_blank(line: str) -> bool:
 def split(line: str, delimiter: str | None) -> list[str]:
     """The cells of a line, stripped; quotes are removed.
 
-    Examples
-    --------
     >>> split('"a, b", 2,', ","), split("t [s]  x", None)
     (['a, b', '2', ''], ['t', '[s]', 'x'])
     """
-    if '"' in line and delimiter is not None:
-        try:
-            return [
-                cell.strip()
-                for cell in next(csv.reader([line.strip(" \r\n")], delimiter=delimiter, skipinitialspace=True))
-            ]
-        except (csv.Error, StopIteration):  # a cell beyond the csv module's limit
-            return [cell.strip() for cell in line.split(delimiter)]
     if delimiter is None:
         return [cell.strip('"') for cell in line.split()]
-    return [cell.strip() for cell in line.strip(" \r\n").split(delimiter)]
+    cells = line.strip(" \r\n").split(delimiter)
+    if '"' in line:
+        with suppress(csv.Error, StopIteration):  # a cell beyond the csv module's limit
+            cells = next(csv.reader([line.strip(" \r\n")], delimiter=delimiter, skipinitialspace=True))
+    return [cell.strip() for cell in cells]
 
 
 def fitted(cells: list[str], width: int) -> list[str] | None:
@@ -403,8 +396,6 @@ _QUOTED_COMMA = re.compile(r'"[+-]?\d+,(?!\d{3}")\d+(?:[eE][+-]?\d+)?"')
 def unquoted(line: str) -> str:
     """The line without the quotes of a file of one column, where no delimiter tells that it is a cell.
 
-    Examples
-    --------
     >>> unquoted('"x [in""]"'), unquoted('"x" "v"')
     ('x [in"]', '"x" "v"')
     """
@@ -447,8 +438,6 @@ def delimiter_of(lines: Sequence[str]) -> str | None:
 def unit_cell(cell: str) -> str | None:
     """The unit that a cell of a row of units holds, empty where there is none; None if it is no unit.
 
-    Examples
-    --------
     >>> unit_cell("[m/s]"), unit_cell("Volts"), unit_cell(""), unit_cell("Alice")
     ('m/s', 'V', '', None)
     """
@@ -480,8 +469,6 @@ def parse_stamp(text: str, day_first: bool = False) -> Stamp | None:
 
     Of dates with slashes and the year at the end the month is first, unless it is no month or `day_first`.
 
-    Examples
-    --------
     >>> parse_stamp("2024-03-01 12:00:01.5"), parse_stamp("0:00:01,25"), parse_stamp("01.03.2024 12:00:00,25")[1]
     ((63844891201, 0.5), (1, 0.25), 0.25)
     >>> parse_stamp("3/1/2024 1:00:00 PM") == parse_stamp("1/3/2024 13:00", day_first=True)

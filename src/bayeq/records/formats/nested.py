@@ -1,8 +1,4 @@
-"""Files that hold many arrays: each is a channel named by its path, and a record takes those of one length.
-
-A path is written ``rec.acc.data`` (fields, groups), ``Y_id[0]`` (cells, datasets in order, counted from 0) and
-``Y_id[0].0`` (the first row of a matrix; its first column where it has more rows than columns).
-"""
+"""Files of many arrays: each is a channel, named by its path (docs/files.md); a record takes those of one length."""
 
 from __future__ import annotations
 
@@ -103,8 +99,6 @@ def _about(node: Mapping[str, Any]) -> dict[str, Any]:
 def step_of(name: str, value: Any) -> float | None:
     """The time step [s] that a number named so is; None if it is no positive number.
 
-    Examples
-    --------
     >>> step_of("dt", 0.5), step_of("fs", [4]), step_of("fs", "fast")
     (0.5, 0.25, None)
     """

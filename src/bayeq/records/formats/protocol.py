@@ -68,8 +68,6 @@ class FileRows:
 def grid(rows: int, unit: int = UNIT_ROWS) -> tuple[int, ...]:
     """Bounds of units of equal length.
 
-    Examples
-    --------
     >>> grid(10, 4)
     (0, 4, 8, 10)
     """
@@ -79,8 +77,6 @@ def grid(rows: int, unit: int = UNIT_ROWS) -> tuple[int, ...]:
 def parts_between(bounds: Sequence[int], start: int, stop: int) -> list[int]:
     """The parts that hold rows `start` to `stop`.
 
-    Examples
-    --------
     >>> parts_between((0, 4, 8, 10), 3, 8)
     [0, 1]
     """
@@ -119,8 +115,6 @@ def check_array(where: str, what: str, shape: Sequence[int], itemsize: int, stor
 def in_words(size: int) -> str:
     """A number of bytes as text.
 
-    Examples
-    --------
     >>> in_words(2_400_000_000), in_words(2048)
     ('2.24 GiB', '2 KiB')
     """

@@ -280,9 +280,6 @@ def write(record: Record, path: Path) -> None:
             file.writelines(mark.join(map(repr, row)) + "\n" for row in block.tolist())
 
 
-# --- some rows at a time ---------------------------------------------------------------------------------------------
-
-
 class TextRows(FileRows):
     """Rows of a text file of plain numbers; times as dates are not read so."""
 

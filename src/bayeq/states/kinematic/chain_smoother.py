@@ -59,10 +59,7 @@ class ChainSmoothing:
         return np.asarray(density * information / (1.0 + density * (information + bound)))
 
     def follow(self, values: Floats) -> Floats:
-        """Columns (n, k) as the smoother would show them: filtered by its gain, reflected at the ends.
-
-        Sampled uniformly; otherwise they are left as they are.
-        """
+        """Columns (n, k) as the smoother would show them, reflected at the ends; as they are if sampled unevenly."""
         n = len(values)
         if self.fs is None or n < 3 or not values.shape[1]:
             return values
@@ -76,10 +73,8 @@ class ChainSmoothing:
         return np.asarray(filtered[reach : reach + n])
 
     def inner(self, n: int) -> slice:
-        """Of n rows those that are further from either end than the smoother's memory: there it knows least.
-
-        At most a tenth of the rows is left out at either end.
-        """
+        """Of n rows those beyond the smoother's memory, at most a tenth of them, from either end: there it knows
+        least."""
         memory = 0 if self.fs is None else int(np.ceil(self.fs / max(self.band[1], self.fs / max(n, 1))))
         reach = min(memory, n // 10)
         return slice(reach, n - reach)
@@ -119,9 +114,8 @@ def smooth_chain(
 ) -> tuple[list[Floats], ChainSmoothing]:
     """Smoothed derivatives of order 0 to K of a chain in each of some records, (n, K+1), in the units of its channels.
 
-    Noise levels are learned from the first `rows` of each record, by default from all; the others are smoothed apart,
-    so that nothing is carried from these to those. NaN is a missing sample. A RecordError says why noise cannot be told
-    from motion, or why a coordinate that is not measured cannot be integrated.
+    Noise levels are learned from the first `rows` of each record, by default from all; the others are smoothed apart.
+    NaN is a missing sample. A RecordError says why noise cannot be told from motion, or a coordinate not be integrated.
     """
     sensors = sensors or Sensors()
     cuts = [record.n for record in records] if rows is None else list(rows)
@@ -194,10 +188,9 @@ def _bounded(series: ChainSeries) -> ChainSeries:
 def _coordinate_sd(series: Sequence[ChainSeries], lowest: int, model: KinematicModel) -> float:
     """How near to zero the samples of an unmeasured coordinate are taken to be.
 
-    Integrating the channel multiplies its noise by 1/omega^lowest, which is without bound. Below the frequency f_low at
-    which its signal comes out of its noise nothing is known of the coordinate but that it does not run away: zeros of
-    the standard deviation sigma/omega_low^lowest weigh there as much as the channel does at f_low. A RecordError
-    refuses uneven steps of time, records at different rates, and a signal that never comes out of its noise.
+    Below the frequency f_low at which a channel's signal comes out of its noise nothing is known of the coordinate but
+    that it does not run away: zeros of the standard deviation sigma/omega_low^lowest weigh there as much as the channel
+    does at f_low. A RecordError refuses uneven steps, records at different rates, and a signal that never comes out.
     """
     from scipy.special import chdtri  # which takes a while to import
 

@@ -127,10 +127,7 @@ def _require_noisy(series: Sequence[ChainSeries], k: int) -> None:
 
 
 def _pieces(series: ChainSeries) -> list[ChainSeries]:
-    """The record without rows that have no sample, cut at long gaps.
-
-    What is known on one side of a gap says next to nothing about the other, but loses all its digits on the way.
-    """
+    """The record without rows that have no sample, cut at long gaps, on whose way what is known loses all digits."""
     columns = [channel for channel in series.channels if channel is not None]
     filled = np.flatnonzero(np.any(np.isfinite(columns), axis=0))
     if len(filled) < 2:
@@ -144,7 +141,7 @@ def _pieces(series: ChainSeries) -> list[ChainSeries]:
 def _stretches(rows: Sequence[Rows]) -> Sequence[Rows]:
     """Where there are too many rows, stretches spread over them."""
     total = sum(len(r.steps) for r in rows)
-    slower = SLOWER if SPARSE * sum(r.irregular for r in rows) > total else 1
+    slower = SLOWER if SPARSE * sum(np.count_nonzero(~r.regular[1:]) for r in rows) > total else 1
     if total * slower <= MANY:
         return rows
     longest = USED // (slower * STRETCHES)

@@ -20,7 +20,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayeq.arrays import Bools, Floats, Ints
 from bayeq.kernels import kernel
@@ -122,10 +121,7 @@ def outer(S: Floats, P: Floats) -> None:
 
 @kernel
 def pre_array(S: Floats, f: Floats, h: float, noise: Floats, M: Floats) -> None:
-    """M[:m] = [F S, root of Qd(h)], whose product with its transpose is the predicted covariance.
-
-    Qd(h) = T Qd(1) T with T_ii = h^(m - i - 1/2): its root scales by rows.
-    """
+    """M[:m] = [F S, root of Qd(h)]: its product with its transpose is the predicted covariance, Qd scaled by rows."""
     m = len(f)
     for i in range(m):
         scale = 1.0 if h == 1.0 else h ** (m - i - 0.5)
@@ -197,11 +193,10 @@ def filter_gains(
 ) -> tuple[int, int, float]:
     """Gains of the filter of a record; the state is zero before the first row.
 
-    `steps`, (n,), are those before each row in regular steps, exactly 1 where regular; the first is not used. There is
-    a sample of channel j, derivative orders[j], where `present`, (n, c); `regular_rows`, (n,), have all of them after a
-    regular step; `variances`, (c,), are of its noise. `noise` is the lower root of Qd over a regular step, `start` has
-    standard deviations of the state before the first row on the diagonal. `tables`, with zeros in gains and inverse,
-    are filled, but for innovations and means.
+    `steps`, (n,), are those before each row in regular steps, exactly 1 where regular. There is a sample of channel j,
+    derivative orders[j] with noise of variances[j], where `present`, (n, c); `regular_rows`, (n,), have all of them
+    after a regular step. `noise` is the lower root of Qd over a regular step, `start` has standard deviations of the
+    first state on the diagonal. `tables`, with zeros in gains and inverse, are filled, but for innovations and means.
 
     Returns how many entries were filled; that of the settled rows, -1 if none have settled; and the sum of the
     logarithms of the innovations' variances.
@@ -259,10 +254,7 @@ def filter_gains(
 
 @kernel
 def filter_means(samples: Floats, steps: Floats, orders: Ints, tables: Tables) -> float:
-    """Innovations and means, from gains; returns the sum of squared standardised innovations.
-
-    `samples`, (n, c), are any finite numbers where none is present.
-    """
+    """Innovations and means, from gains; the sum of squared standardised innovations. Missing samples are finite."""
     n, c = samples.shape
     index, anew, gains, inverse, means = tables.entry, tables.anew, tables.gains, tables.inverse, tables.means
     m = gains.shape[2]
@@ -417,9 +409,9 @@ def score(
 
 @kernel
 def _backward_gain(S: Floats, f: Floats, h: float, noise: Floats, M: Floats, J: Floats, rest: Floats) -> None:
-    """Gain J of the Rauch-Tung-Striebel smoother and a root of the covariance given the state at the next row.
+    """Gain J = B A^-1 of the smoother and a root of the covariance given the state at the next row, `rest`.
 
-    [[F S, root of Qd], [S, 0]] is triangularised to [[A, 0], [B, rest]]: J = B A^-1.
+    [[F S, root of Qd], [S, 0]] is triangularised to [[A, 0], [B, rest]].
     """
     m = len(f)
     pre_array(S, f, h, noise, M)
@@ -438,13 +430,10 @@ def _backward_gain(S: Floats, f: Floats, h: float, noise: Floats, M: Floats, J: 
 
 
 @kernel
-def smooth(
-    steps: Floats, tables: Tables, steady: int, noise: Floats, covariances: Floats, rows: NDArray[np.int64]
-) -> int:
+def smooth(steps: Floats, tables: Tables, steady: int, noise: Floats, covariances: Floats, rows: Ints) -> int:
     """Rauch-Tung-Striebel smoother: the filtered means in `tables` become smoothed ones.
 
-    `covariances` is filled with one entry per row until they have settled and `rows` with the entry of each row;
-    returns the number of entries.
+    Returns how many `covariances` were filled, one per row until they have settled; `rows` say which is of each row.
     """
     index, anew, roots, means = tables.entry, tables.anew, tables.roots, tables.means
     n, m = means.shape

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bayeq.arrays import Floats
+from bayeq.arrays import Bools, Floats, Ints
 from bayeq.errors import InputError
 from bayeq.records.validate import is_step
 from bayeq.states.kinematic.kalman import Tables, filter_gains, filter_means, score, smooth
@@ -69,7 +69,6 @@ class ChainSeries:
 
     @property
     def n(self) -> int:
-        """Number of rows."""
         return len(self.times)
 
     @property
@@ -88,7 +87,6 @@ class ChainSeries:
         return np.column_stack([np.full(self.n, np.nan) if c is None else c for c in self.channels])
 
     def take(self, rows: slice | NDArray[np.intp]) -> ChainSeries:
-        """Some of the rows."""
         return ChainSeries(self.times[rows], tuple(None if c is None else c[rows] for c in self.channels))
 
     def over(self, gains: Floats | Sequence[float]) -> ChainSeries:
@@ -96,7 +94,7 @@ class ChainSeries:
         channels = (None if c is None else c / gain for c, gain in zip(self.channels, gains, strict=True))
         return ChainSeries(self.times, tuple(channels))
 
-    def without(self, mask: NDArray[np.bool_]) -> ChainSeries:
+    def without(self, mask: Bools) -> ChainSeries:
         """Without samples of a mask, (n, K+1)."""
         channels = (None if c is None else np.where(mask[:, k], np.nan, c) for k, c in enumerate(self.channels))
         return ChainSeries(self.times, tuple(channels))
@@ -191,27 +189,20 @@ class Rows:
     """A record in units of its own, and the filter on it. States below `lowest` are left out."""
 
     samples: Floats  # (n, c), 0 where missing
-    present: NDArray[np.bool_]  # (n, c)
+    present: Bools  # (n, c)
     steps: Floats  # (n,) in `step`, 1 where regular
-    regular: NDArray[np.bool_]  # (n,), after a regular step and with all samples
-    measured: NDArray[np.int64]  # (c,)
+    regular: Bools  # (n,), after a regular step and with all samples
+    measured: Ints  # (c,)
     lowest: int
     step: float
     scale: float
     centre: float
 
     @property
-    def irregular(self) -> int:
-        """Rows after an odd step or with a missing sample, on which gains cannot settle."""
-        return int(np.count_nonzero(~self.regular[1:]))
-
-    @property
     def count(self) -> int:
-        """Number of samples."""
         return int(np.count_nonzero(self.present))
 
     def take(self, rows: slice) -> Rows:
-        """A stretch of the record."""
         names = ("samples", "present", "steps", "regular")
         return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
@@ -225,11 +216,7 @@ class Rows:
         return -float(self.present.sum(axis=0) @ np.log(self.units(self.measured)))
 
     def filter(self, order: int, density: float, noise_sd: Floats, initial_sd: Floats, keep: bool = False) -> Filtered:
-        """Filter the record by a model of order m and density Q.
-
-        Standard deviations are those of the channels' noise, (K+1,), and of the first state, (m,). With `keep` the
-        filtered states are kept, which the smoother needs.
-        """
+        """The record filtered by a model of order m, density Q and sds of noise, (K+1,), and first state, (m,)."""
         (n, c), m = self.samples.shape, order - self.lowest
         orders = self.measured - self.lowest
         variances = (noise_sd[self.measured] / self.units(self.measured)) ** 2
@@ -263,10 +250,8 @@ class Rows:
 
 
 def prepare(series: ChainSeries, initial_sd: Floats, all_states: bool = False) -> Rows:
-    """A record for the filter, in units by the sizes `initial_sd` of the derivatives, (m,).
-
-    States below the lowest measured derivative, if wanted, say nothing about the samples, and never settle.
-    """
+    """A record for the filter, in units by the sizes `initial_sd` of the derivatives, (m,); with `all_states` also
+    those below the lowest measured derivative, which never settle."""
     seen = [k for k, channel in enumerate(series.channels) if channel is not None and np.isfinite(channel).any()]
     measured = np.array(seen or series.measured, dtype=np.int64)
     step = series.step
@@ -297,7 +282,7 @@ class SmoothedStates:
 
     mean: Floats  # (n, m): q, q', ..., q^(m-1) in their own units
     covariances: Floats  # (u, m, m), those that occur: of uniform sampling away from ends and gaps they are one
-    entry: NDArray[np.int64]  # (n,), which of them belongs to each row
+    entry: Ints  # (n,), which of them belongs to each row
 
     @property
     def sd(self) -> Floats:
