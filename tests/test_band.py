@@ -27,7 +27,7 @@ def record(tmp_path_factory):
 @pytest.fixture(scope="module")
 def hum(tmp_path_factory):
     """A Duffing oscillator with hum of half its channels' standard deviation in all of them."""
-    rec = bq.simulate("duffing", n=2500, seed=1, noise=0.02)
+    rec = bq.simulate("duffing", n=1500, seed=1, noise=0.02)
     rng = np.random.default_rng(1)
     mains = {n: np.sin(2 * np.pi * 50 * rec.time + rng.uniform(0, 2 * np.pi)) for n in "xvau"}
     record = rec.with_channels({n: rec[n] + 0.7 * rec[n].std() * mains[n] for n in "xvau"}, rec.units)
@@ -39,7 +39,7 @@ def hum(tmp_path_factory):
 def test_a_band_leaves_hum_out(hum, tmp_path, capsys):
     channels = ["--disp", "x", "--vel", "v", "--acc", "a", "--force", "u"]
     law = {"x": -1000.0, "v": -2.0, "x**3": -1e5, "u": 1.0}
-    whole = bq.discover(bq.read(hum), chains="x:v:a", inputs=["u"], smooth="none")
+    whole = bq.discover(bq.read(hum), chains="x:v:a", inputs=["u"], dictionary=FEW, smooth="none")
     assert set(whole[0].shown) != set(law)
     eq = tmp_path / "eq.json"
     assert main(["discover", str(hum), *channels, "--dictionary", FEW, "--band", "0.5:40", "--save", str(eq)]) == 0
@@ -131,14 +131,14 @@ def test_noise_and_the_edge_of_a_force_are_no_hum(seed):
 
 
 def test_the_upper_end_decides_no_terms():
-    record = bq.simulate("duffing", n=1500, seed=5, noise=0.02)
+    record = bq.simulate("duffing", n=800, seed=5, noise=0.02)
     ask = {"chains": "x:v:a", "inputs": ["u"], "dictionary": FEW, "holdout": 0.0}
     found = [bq.discover(record, **ask, band=(0.0, high))[0].coef for high in (20.0, 400.0)]
     assert found[0] == found[1]
 
 
 def test_a_band_is_fitted_where_nothing_is_noisy():
-    record = bq.simulate("duffing", n=1000, seed=1, noise=0.0)
+    record = bq.simulate("duffing", n=600, seed=1, noise=0.0)
     eq = bq.discover(record, chains="x:v:a", inputs=["u"], dictionary="x, v, x**3, u", band=(1, 60))
     assert eq.data.smoothed
     assert eq[0].shown_coef["x"] == pytest.approx(-1000.0, rel=0.01)

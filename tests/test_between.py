@@ -101,7 +101,7 @@ DICTIONARY = {"ddx1": "x1, dx1, x1-x2, dx1-dx2, u", "ddx2": "x2, dx2, x2-x1, dx2
 
 
 def _two_masses(constraints: list[str]) -> bq.Equations:
-    record = simulate(TWO, seed=5, n=400)
+    record = simulate(TWO, seed=5, n=300)
     return bq.discover(
         record, chains=["x1::", "x2::"], inputs=["u"], dictionary=DICTIONARY, constraints=constraints, holdout=0.0
     )
@@ -133,7 +133,7 @@ def test_of_several_ties_only_the_wrong_one_is_refused() -> None:
 
 
 def test_an_equality_in_one_equation_is_a_tie_too() -> None:
-    record = simulate("duffing", n=700, fs=250.0, seed=1, noise=0.05)
+    record = simulate("duffing", n=450, fs=250.0, seed=1, noise=0.05)
     ask = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u", "holdout": 0.0}
     ask |= {"dictionary": "x, v, x**3, u, x**2, v*abs(v)"}
     (free,) = bq.discover(record, **ask)
@@ -160,7 +160,7 @@ def test_a_difference_the_other_way_round_is_the_same_term() -> None:
 
 
 def test_a_coefficient_that_was_measured_before_is_sharper_and_a_wrong_one_is_told() -> None:
-    record = simulate("duffing", n=700, fs=250.0, seed=1, noise=0.05)
+    record = simulate("duffing", n=450, fs=250.0, seed=1, noise=0.05)
     ask = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u", "holdout": 0.0}
     ask |= {"dictionary": "x, v, x**3, u, x**2, v*abs(v)"}
     (known,) = bq.discover(record, constraints=["u ~ 1 +- 0.0005"], **ask)

@@ -128,7 +128,7 @@ def test_a_held_input_behind_a_lag_is_no_further_term():
     x, v, _, u = states[:-1].T
     measured = {name: s + 0.01 * s.std() * rng.standard_normal(800) for name, s in {"x": x, "v": v}.items()}
     record = bq.Record.from_arrays({**measured, "u": u}, fs=500.0)
-    asked = {"chains": "x:v:", "inputs": ["u"], "dictionary": "x, v, x**3, f, u", "law": "df = (u - f)/{tau}"}
+    asked = {"chains": "x:v:", "inputs": ["u"], "dictionary": "x, v, f, u", "law": "df = (u - f)/{tau}"}
     eq = bq.discover(record, **asked, holdout=0.0)
     assert eq[0].included == ("x", "v", "f")
     assert eq[0].coef["f"] == pytest.approx(1.0, rel=0.02)
@@ -154,18 +154,18 @@ def test_coefficients_are_spread_over_courses_that_are_nearly_as_likely(monkeypa
     np.testing.assert_allclose(found, weight * np.outer([0.1, 0.0, 0.0], [0.1, 0.0, 0.0]), atol=1e-12)
 
 
-def test_a_smooth_force_stays_smooth_unless_the_motion_clearly_tells():
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
+def test_a_smooth_force_stays_smooth_unless_the_motion_clearly_tells(seed):
     fine = np.arange(12_000) / 4000.0
     force = 30.0 * np.sin(2.0 * np.pi * np.multiply.outer(fine, [3.1, 7.7, 12.9, 21.3])).sum(axis=1)
     law = [[0.0, 1.0], [-1600.0, -4.0]], [[0.0], [0.3125]], np.eye(2), np.zeros((2, 1))
     x, v = lsim(law, force, fine)[1][::10].T
     t, force = fine[::10], force[::10]
     a = 0.3125 * force - 4.0 * v - 1600.0 * x
-    for seed in range(3):
-        rng = np.random.default_rng(seed)
-        channels = {"x": x, "a": a, "u": force}
-        noisy = {name: one + 0.01 * one.std() * rng.standard_normal(1200) for name, one in channels.items()}
-        asked = {"chains": "x::a", "inputs": ["u"], "dictionary": "x, dx, u", "holdout": 0.0}
-        eq = bq.discover(bq.Record.from_arrays(noisy, time=t), **asked)
-        low, high = dict(zip([term.text for term in eq[0].terms], eq[0].ci95.tolist(), strict=True))["u"]
-        assert low < 0.3125 < high
+    rng = np.random.default_rng(seed)
+    channels = {"x": x, "a": a, "u": force}
+    noisy = {name: one + 0.01 * one.std() * rng.standard_normal(1200) for name, one in channels.items()}
+    asked = {"chains": "x::a", "inputs": ["u"], "dictionary": "x, dx, u", "holdout": 0.0}
+    eq = bq.discover(bq.Record.from_arrays(noisy, time=t), **asked)
+    low, high = dict(zip([term.text for term in eq[0].terms], eq[0].ci95.tolist(), strict=True))["u"]
+    assert low < 0.3125 < high

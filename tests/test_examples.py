@@ -92,6 +92,7 @@ def test_absent_records_are_named(tmp_path, capsys):
 # --- what is claimed ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow  # the same record refined: test_refine
 def test_refined_rates_of_the_populations():
     example = ran(populations)
     assert set(example.blocks) == {"found", "refined"}

@@ -22,7 +22,7 @@ ASKED = {"chains": "x:v:a", "inputs": ["u"], "dictionary": [*TRUE, "x**2", "v*ab
 
 def drawn(seed):
     """A record of sensors that are off by `FACTORS`."""
-    clean = bq.simulate("duffing", n=1500, seed=seed, noise=0.02)
+    clean = bq.simulate("duffing", n=900, seed=seed, noise=0.02)
     channels = {name: factor * clean[name] for name, factor in FACTORS.items()}
     return bq.Record.from_arrays(channels, time=clean.time, units={**clean.units})
 
@@ -52,7 +52,7 @@ def test_factors_are_found_as_far_as_channels_tell_them(answers):
 
 
 def test_coefficients_that_a_common_factor_leaves_are_as_well_known_as_without(answers):
-    exact = quietly(bq.simulate("duffing", n=1500, seed=3, noise=0.02), gain_sd=None)[0]
+    exact = quietly(bq.simulate("duffing", n=900, seed=3, noise=0.02), gain_sd=None)[0]
     # two factors of the motion in x**3; that of u, and that of the motion, in u
     shares = {"x": 0.0, "v": 0.0, "x**3": 0.02 / 3**0.5, "u": (4 / 3) ** 0.5 * 0.01}
     for (equation,) in answers:
@@ -115,7 +115,11 @@ def test_of_one_channel_of_a_chain_nothing_tells_the_factor():
     [
         ({"v": lambda v: v + 0.1}, r"v may be 0.1\d* too large throughout: --remove-offset v=0.\d+"),
         ({"v": lambda v: 1.02 * v}, r"v may be [12]\.?\d* % too large: --gain-sd v=0.0[23] learns that"),
-        ({"a": lambda a: 0.97 * a}, r"a may be [23]\.?\d* % too small: --gain-sd a=0.0[34] learns that"),
+        pytest.param(
+            {"a": lambda a: 0.97 * a},
+            r"a may be [23]\.?\d* % too small: --gain-sd a=0.0[34] learns that",
+            marks=pytest.mark.slow,  # of a velocity: above
+        ),
         (
             {"v": lambda v: np.where(np.arange(len(v)) % 97, np.roll(v, 3), np.nan)},
             r"v may be 0.00[23]\d* s late: --lag-sd v=0.003 learns that",

@@ -85,7 +85,7 @@ def test_what_is_printed_of_it(tmp_path, capsys):
 
 
 def test_another_scale():
-    eq = found(oscillator(1, rows=400), constraints="a: r ~ -1 +- 1e-6", holdout=0.0)
+    eq = found(oscillator(1, rows=250), constraints="a: r ~ -1 +- 1e-6", holdout=0.0)
     assert set(eq["dr"].included) == set(TRUE["dr"])
     coef = eq["dr"].shown_coef
     assert coef["v"] == pytest.approx(ALPHA, rel=0.05)
@@ -165,7 +165,7 @@ def test_saved_answers_run_as_before(tmp_path):
 
 
 def test_on_the_command_line(tmp_path, capsys):
-    bq.write(oscillator(1, rows=300), tmp_path / "run.csv")
+    bq.write(oscillator(1, rows=200), tmp_path / "run.csv")
     command = ["discover", str(tmp_path / "run.csv"), "--chain", "x:v:a", "--chain", "~r:", "--input", "u", "--json"]
     command += ["--holdout", "0"]
     assert main([*command, "--dictionary", "a: x, v, u, r; dr: v, abs(v)*r, v*abs(r)"]) == 0
@@ -203,7 +203,7 @@ def test_a_path_is_forgotten_after_a_sixth_of_its_period_whatever_white_noise_it
     assert _forgotten(noisy) == pytest.approx(10, abs=2)
 
 
-def two_masses(seed: int, rows: int = 500) -> bq.Record:
+def two_masses(seed: int, rows: int = 300) -> bq.Record:
     """A mass on a spring that drives another one, which is not measured."""
     rng = np.random.default_rng(seed)
     t, w, phase = np.arange(rows) * 0.02, rng.uniform(1.0, 18.0, 12), rng.uniform(0.0, 2.0 * np.pi, 12)
@@ -259,7 +259,7 @@ def test_a_state_that_is_a_factor_alone_is_found():
     def rate(s, y):  # Lorenz
         return [10.0 * (y[1] - y[0]), y[0] * (28.0 - y[2]) - y[1], y[0] * y[1] - 8.0 / 3.0 * y[2]]
 
-    t, rng = np.arange(900) * 0.01, np.random.default_rng(1)
+    t, rng = np.arange(600) * 0.01, np.random.default_rng(1)
     y = solve_ivp(rate, (0.0, t[-1]), [-3.0, -4.0, 22.0], t_eval=t, rtol=1e-9).y[:2]
     noisy = y + 0.01 * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape)
     record = bq.Record.from_arrays({"x": noisy[0], "y": noisy[1]}, time=t)

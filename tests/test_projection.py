@@ -147,6 +147,7 @@ def test_growth_of_few_rows_is_not_shrunk():
     assert -one.shown_coef["N"] / one.shown_coef["N**2"] == pytest.approx(K, rel=0.1)
 
 
+@pytest.mark.slow  # of another one: test_holding
 def test_a_pendulum_that_friction_brings_to_rest():
     # 4096 lines: at rest the encoder shows the same count for seconds, and the friction may be anything up to 0.25
     n, fs, fine = 6000, 200.0, 50

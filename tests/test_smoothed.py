@@ -90,7 +90,7 @@ def test_a_band_counts_real_numbers():
     assert band.count.sum() == 2 * len(band.count) - 1
 
 
-@pytest.mark.filterwarnings("ignore:300 samples are missing:bayeq.errors.DataWarning")
+@pytest.mark.filterwarnings("ignore:.* samples are missing:bayeq.errors.DataWarning")
 def test_dropped_samples_are_put_back_on_their_grid():
     rec = bq.simulate("duffing", n=3000, seed=2, noise=0.03)
     kept = np.sort(np.random.default_rng(0).choice(3000, 2700, replace=False))
@@ -105,7 +105,7 @@ def test_dropped_samples_are_put_back_on_their_grid():
         assert np.std((states.columns[name] - clean)[missing]) < 0.02 * np.std(clean)
     np.testing.assert_array_equal(states.columns["u"][kept], gappy["u"])
     asked = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u", "holdout": 0.0}
-    eq = bq.discover(gappy, **asked, dictionary="x, v, x**3, u, x**2, x*v, v*abs(v)")
+    eq = bq.discover(gappy.slice(0, 900), **asked, dictionary="x, v, x**3, u, x**2, x*v, v*abs(v)")
     assert set(eq[0].included) == {"x", "v", "x**3", "u"}
 
 
@@ -216,14 +216,15 @@ def test_follow_is_the_gain_at_each_frequency(n):
 
 def test_an_equation_of_displacement_and_force_explains_its_target():
     # against the force as measured it would explain 13 %, and the residuals would follow the force
-    eq = bq.discover(bq.simulate("duffing", seed=1), chains="x::", inputs=["u"])
+    few = "x, dx, x**2, x**3, x*dx, dx*abs(dx), u"
+    eq = bq.discover(bq.simulate("duffing", n=2000, seed=1), chains="x::", inputs=["u"], dictionary=few)
     assert eq[0].train.r2 > 0.97
     assert eq[0].held_out.r2 > 0.9
     assert eq.warnings == ()
     assert eq.scores.one_step["ddx"] < 0.3
 
 
-@pytest.mark.parametrize("noise", [0.0, pytest.param(0.001, marks=pytest.mark.slow), 0.01])
+@pytest.mark.parametrize("noise", [*(pytest.param(one, marks=pytest.mark.slow) for one in (0.0, 0.001)), 0.01])
 def test_lorenz_from_states_alone(noise):
     rng = np.random.default_rng(1)
     t = 0.01 * np.arange(2000)
@@ -255,9 +256,9 @@ def _lorenz_step(s, h):
 
 
 def test_dropped_rows_of_states_taken_as_measured():
-    rec = bq.simulate("duffing", n=1500, noise=0.001, seed=3)
-    kept = np.delete(np.arange(1500), [100, 101, 700, 1250])
-    few = "x, v, x**2, x**3, x*v, v**2, v*abs(v), u"
+    rec = bq.simulate("duffing", n=800, noise=0.001, seed=3)
+    kept = np.delete(np.arange(800), [100, 101, 400, 650])
+    few = "x, v, x**2, x**3, v*abs(v), u"
     with pytest.warns(DataWarning, match="samples are missing"):
         eq = bq.discover(rec.take(kept), chains="x:v:a", inputs=["u"], dictionary=few)
     assert set(eq[0].included) == {"x", "v", "x**3", "u"}
