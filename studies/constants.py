@@ -3,7 +3,8 @@
 An oscillator under a smooth force, 2000 rows at 100 Hz: tanh friction, a one-sided gap, a decaying force and a sine of
 unknown frequency, each with parameters of its own; Michaelis-Menten kinetics, 400 rows with the inflow exact. Noise is
 a share of each channel's standard deviation. `none` offers tanh friction to records that have none; `forms` offers four
-look-alikes as an either-or, one of which is true: right is the true form, or that the form is undecided.
+look-alikes as an either-or, one of which is true: right is the true form, or that the form is undecided. `... beside
+all` offers the term beside the 36 candidates of the dictionary `oscillator`, many of which are a series for it.
 
     python -m studies.constants > docs/tables/constants.csv
 """
@@ -11,7 +12,7 @@ look-alikes as an either-or, one of which is true: right is the true form, or th
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -54,6 +55,8 @@ class Case:
         Candidates beside the usual ones.
     constants : mapping of str to str
         The parameter that is the true value of each constant.
+    beside : str
+        The usual candidates.
     draw : callable
         Draws the parameters.
     """
@@ -63,6 +66,7 @@ class Case:
     offered: str
     draw: Callable[[np.random.Generator], Parameters]
     constants: Mapping[str, str] = field(default_factory=dict)
+    beside: str = BESIDE
 
 
 def _between(**ranges: tuple[float, float]) -> Callable[[np.random.Generator], Parameters]:
@@ -71,12 +75,13 @@ def _between(**ranges: tuple[float, float]) -> Callable[[np.random.Generator], P
 
 
 _friction = _between(F=(2.0, 6.0), s=(0.05, 0.5))
+_gap = Case(
+    "-F*max(x-s,0)", {"max(x-{gap},0)": "-F"}, "max(x-{gap}, 0)", _between(F=(60.0, 300.0), s=(0.02, 0.1)),
+    {"gap": "s"},
+)  # fmt: skip
 CASES = {
     "tanh": Case("-F*tanh(v/s)", {"tanh(v/{v0})": "-F"}, "tanh(v/{v0})", _friction, {"v0": "s"}),
-    "gap": Case(
-        "-F*max(x-s,0)", {"max(x-{gap},0)": "-F"}, "max(x-{gap}, 0)", _between(F=(60.0, 300.0), s=(0.02, 0.1)),
-        {"gap": "s"},
-    ),
+    "gap": _gap,
     "decay": Case(
         "+F*q", {"exp(-{a}*t)": "F"}, "exp(-{a}*t)", _between(F=(10.0, 30.0), s=(0.15, 1.0)), {"a": "s"}
     ),
@@ -86,6 +91,15 @@ CASES = {
     ),
     "none": Case("", {}, "tanh(v/{v0})", _between(F=(1.0, 2.0))),
     "forms": Case("", {}, " | ".join(FORMS), _friction),
+    "gap beside all": replace(_gap, beside="oscillator"),
+    "exponential beside all": Case(
+        "-F*(exp(s*x)-1)", {"exp({q}*x)": "-F"}, "exp({q}*x)", _between(F=(5.0, 20.0), s=(3.0, 10.0)), {"q": "s"},
+        beside="oscillator",
+    ),
+    "power beside all": Case(
+        "-F*sign(v)*abs(v)**s", {"sign(v)*abs(v)**{p}": "-F"}, "sign(v)*abs(v)**{p}",
+        _between(F=(1.0, 4.0), s=(1.4, 2.8)), {"p": "s"}, beside="oscillator",
+    ),
 }  # fmt: skip
 
 # What changes with time alone.
@@ -189,7 +203,7 @@ def _measure(kind: str, chain: str, noise: float, seed: int) -> Outcome:
         record, truth, parameters = draw_record(kind, noise, seed)
         case = CASES[kind]
         constants = {name: parameters[of] for name, of in case.constants.items()}
-        dictionary = f"{BESIDE}, {case.offered}"
+        dictionary = f"{case.beside}, {case.offered}"
         if chain == "x::":
             dictionary = dictionary.replace("v", "dx").replace("{dx", "{v")
             truth = {name.replace("v", "dx").replace("{dx", "{v"): value for name, value in truth.items()}

@@ -137,9 +137,10 @@ def settled(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fitted]:
 def _beside_a_series(
     motion: Motion, task: Task, fitted: Fitted, family: Sequence[int]
 ) -> tuple[Task, Fitted, dict[str, float]]:
-    """The likeliest of a family, other functions of its variables, and both; log posteriors of those that are likely.
+    """The fit, or one with a family alone or other functions of its variables alone, and log posteriors of the likely.
 
-    Many of these together may be a series for the family, which nothing about the fit then asks for.
+    Of these the one with fewest terms is taken. Many terms together may be a series for the family, which nothing about
+    the fit then asks for.
     """
     terms = task.layout.terms
     names = frozenset[str]().union(*(terms[j].names for j in family))
@@ -154,15 +155,13 @@ def _beside_a_series(
         if _holds(task, fitted.model, held):
             with suppress(np.linalg.LinAlgError):
                 fits += _instead_of(motion, task, fitted, out, family)
-    scores = [_averaged(*one) for one in fits]
-    forms: dict[str, float] = {}
-    for one, score in zip(fits, scores, strict=True):
-        form = _listed(*one, [*family, *series])
-        if score > max(scores) - CLOSE:
-            forms[form] = max(score, forms.get(form, score))
-    best, fitted = next(one for one, score in zip(fits, scores, strict=True) if score > max(scores) - BETTER)
-    task = replace(best, log_odds=task.log_odds, recent=[])
-    return task, fitted, forms if len(forms) > 1 and "" not in forms else {}
+    scores, forms = [_averaged(*one) for one in fits], [_listed(*one, [*family, *series]) for one in fits]
+    told = bool(all(forms))  # otherwise the family is not needed, as its probability says
+    close = [k for k, score in enumerate(scores) if score > max(scores) - (CLOSE if told else BETTER)]
+    k = min(close, key=lambda k: (fits[k][1].model.sum(), -scores[k])) if told else close[0]
+    best = {forms[k]: scores[k] for k in sorted(close, key=lambda k: scores[k])}
+    task = replace(fits[k][0], log_odds=task.log_odds, recent=[])
+    return task, fits[k][1], best if told and len(best) > 1 else {}
 
 
 def _instead_of(
