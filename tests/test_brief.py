@@ -150,3 +150,16 @@ def test_rows_at_rest_are_said_to_test_little(tmp_path, capsys):
     assert "rows that were not used: s hardly moves there, which tests little" in said
     assert "%" not in said.partition("checked on")[2]
     assert bq.load(tmp_path / "eq.json").scores.still == ("s",)
+
+
+@pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
+def test_an_answer_in_much_doubt_is_short_too(tmp_path, capsys):
+    path = tmp_path / "few.csv"
+    bq.write(bq.simulate("duffing", n=400, seed=0, noise=0.2), path)
+    lines = printed(capsys, "discover", path, *FULL).splitlines()
+    assert lines[0].startswith("verdict: not determined: ")
+    assert len(lines) <= 16
+    assert max(map(len, lines)) <= 100
+    said = " ".join(" ".join(lines).split())
+    assert re.search(r"95 % intervals: x \(.*in doubt: x \(PIP 0\.\d+\), .*sign\(x\) \(PIP 0\.\d+, not in it\)", said)
+    assert "* interval over all models that hold the term" in said

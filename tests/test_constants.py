@@ -249,6 +249,7 @@ def test_every_surface_names_the_constant(answer, tmp_path):
         line = next(line for line in text.splitlines() if line.strip(" |").startswith("{v0}"))
         assert "m/s" in line
         assert f"{one.value:.2g}" in line
+    assert len(brief(answer).splitlines()) <= 16
     assert "{v0}: a constant inside tanh(v/{v0})" in explanation(answer).replace("\n", " ")
     row = answer.table().query("term == '{v0}'").iloc[0]
     assert (row.coef, row.unit, row.ci_low) == (one.value, "m/s", one.ci95[0])

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import bayeq as bq
 from bayeq.equation.brief import brief
-from bayeq.equation.physical import physical_parameters, system_parameters
+from bayeq.equation.physical import own_parameters, physical_parameters, system_parameters
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.expressions import parse
 from bayeq.forecast.dynamics import Law
@@ -448,3 +448,21 @@ def test_the_inertia_of_a_shaft_is_none_of_a_mass():
         eq = bq.discover(turning, chains="x:v:a", inputs="u", dictionary="x, v, u")
     meanings = {one.symbol: one.meaning for one in eq.physical()}
     assert meanings["m"] == "moment of inertia"
+    by_current = replace(eq, equations=tuple(replace(one, units={**one.units, "u": "mA"}) for one in eq.equations))
+    assert {one.symbol for one in by_current.physical()} >= {"k/m", "c/m"}
+    assert "m" not in {one.symbol for one in by_current.physical()}
+
+
+@pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
+def test_why_there_are_no_parameters_is_said():
+    t = np.arange(400) / 50.0
+    channels = {"u": np.cos(3.0 * t) + 0.5 * np.cos(7.0 * t), "v": 2.0 * np.sin(3.0 * t) / 3.0 + np.sin(7.0 * t) / 7.0}
+    channels |= {"x": 0.1 - 2.0 * np.cos(3.0 * t) / 9.0 - np.cos(7.0 * t) / 49.0, "a": 2.0 * channels["u"]}
+    rng = np.random.default_rng(0)
+    noisy = {name: c + 0.01 * c.std() * rng.standard_normal(400) for name, c in channels.items()}
+    eq = bq.discover(bq.Record.from_arrays(noisy, fs=50.0), **ROLES, dictionary="x, v, u")
+    assert eq[0].shown == ("u",)
+    assert not own_parameters(eq)
+    said = " ".join(brief(eq).split())
+    assert "no physical parameters: the equation of a has neither a restoring term (a power of x) nor damping" in said
+    assert eq.to_dict()["parameters"] == []

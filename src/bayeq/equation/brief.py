@@ -85,7 +85,7 @@ def _answer(eq: Answer, physical: PhysicalParameters | None, compact: bool) -> l
         if physical and physical.unexplained and eq.equations[0].chain.order == 2:
             lines += _wrapped(f"    also in the equation: {', '.join(physical.unexplained)}", "      ")
         lines += _wrapped(f"    {physical.note}", "      ")
-    if physical and any(f" {text.MARK}" in line for line in lines):
+    if any(f" {text.MARK}" in line for line in lines):
         lines += _wrapped(f"    {text.MARK} {text.OVER_MODELS}", "      ")
     checked = _wrapped(checks(eq))
     for one in eq.equations:
@@ -116,7 +116,7 @@ def _law(eq: Answer, physical: PhysicalParameters, owner: Equation) -> list[str]
 def _in_lines(equation: Equation, score: str, certain: bool) -> list[str]:
     """Terms in doubt, with their probabilities, and the intervals of those that are certain too."""
     rows = text.rows_of(equation)[:-1]
-    doubtful = [row for row in rows if row.pip < text.CERTAIN and (row.coefficient or _doubtful(equation))]
+    doubtful = [row for row in rows if row.pip < text.CERTAIN and (row.coefficient or row.pip > RIVAL)]
     listed = ", ".join(
         f"{row.name} ({score} {row.score}{'' if row.coefficient else ', not in it'})" for row in doubtful
     )

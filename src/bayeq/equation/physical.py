@@ -54,6 +54,9 @@ AT_ZERO = 1e-9
 # Draws that may have no position of rest.
 FEW = 0.025
 
+# Ends of units of what is no force, beside those of motion.
+NO_FORCE = ("A", "V", "W", "Pa", "bar", "psi", "%")
+
 # Draws of parameters that nobody has asked for.
 DRAWS = 2000
 
@@ -179,7 +182,7 @@ def physical_parameters(
     if driven is not None and force is None and mass is None:
         against = np.quantile(coefficients[driven], 0.975) < 0.0
         # against the motion, or what moves a base: it says nothing of the mass
-        driven = None if against or _is_motion(units.get(driven, "")) else driven
+        driven = None if against or _is_no_force(units.get(driven, "")) else driven
     system = OscillatorUnits(units, law.chain, law.unit_gains, driven, mass is not None)
     theta = {f.symbol: coefficients[f.term] * system.scale(f.powers) for f in forces}
     mixed = [name for name in coefficients if _is_mixed(parse(name), law.chain.states, [*inputs, TIME])]
@@ -338,7 +341,7 @@ def system_parameters(
             if slope is not None:
                 continue
             if term.text in inputs:
-                if not _is_motion(units.get(term.text, "")):
+                if not _is_no_force(units.get(term.text, "")):
                     driven.setdefault(term.text, {})[i] = drawn * scale.scale_force()
             elif term.text not in unexplained:
                 unexplained.append(term.text)
@@ -349,10 +352,10 @@ def system_parameters(
     return PhysicalParameters(tuple(found), tuple(unexplained), tuple(modes), note)
 
 
-def _is_motion(unit: str) -> bool:
-    """Whether an input in a unit is the motion of a base, and no force."""
+def _is_no_force(unit: str) -> bool:
+    """Whether an input in a unit is the motion of a base, a current, a voltage, a power or a pressure."""
     si = in_si(parse_unit(unit)) if unit else None
-    return si is not None and not si[1].get("N")
+    return unit.endswith(NO_FORCE) if si is None else not si[1].get("N")
 
 
 def _names(law: Law) -> set[str]:
