@@ -93,7 +93,7 @@ CASES = {
     "forms": Case("", {}, " | ".join(FORMS), _friction),
     "gap beside all": replace(_gap, beside="oscillator"),
     "exponential beside all": Case(
-        "-F*(exp(s*x)-1)", {"exp({q}*x)": "-F"}, "exp({q}*x)", _between(F=(5.0, 20.0), s=(3.0, 10.0)), {"q": "s"},
+        "-F*exp(s*x)", {"exp({q}*x)": "-F"}, "exp({q}*x)", _between(F=(5.0, 20.0), s=(3.0, 10.0)), {"q": "s"},
         beside="oscillator",
     ),
     "power beside all": Case(
