@@ -30,11 +30,7 @@ from bayeq.inference.collapsed.search import best_models, scores_of
 from bayeq.inference.collapsed.slab import exact_posterior
 from bayeq.likelihood.fit import Quadratic, State, adjoints, corrections, information
 from bayeq.likelihood.layout import Layout
-from bayeq.likelihood.model import (
-    Fitted,
-    Task,
-    calmed,
-)
+from bayeq.likelihood.model import Fitted, Task, calmed
 from bayeq.likelihood.start import precision_of_terms
 from bayeq.states import Motion
 
