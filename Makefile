@@ -35,7 +35,8 @@ types: $(VENV)/.dev
 	$(BIN)/mypy
 
 kernels: $(VENV)/.dev
-	$(BIN)/python -W ignore -c "import bayeq as bq; bq.discover(bq.simulate('duffing', n=300), chains='x:v:a', inputs=['u'])"
+	$(BIN)/python -W ignore -c "import bayeq as bq; record = bq.simulate('duffing', n=300); \
+		[bq.discover(record, chains='x:v:a', inputs=['u'], method=name) for name in ('auto', 'gibbs', 'rvm')]"
 
 # Every worker takes a half of the files, and what other workers have left: fixtures of a file are made once.
 tests: $(VENV)/.dev

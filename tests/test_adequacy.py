@@ -127,14 +127,14 @@ def oscillation(change, seed, n=1500, fs=100.0):
 
 def test_a_coefficient_that_changes_is_told_by_how_much():
     terms = ["x", "v", "u", "x**3", "v*abs(v)"]
-    (equation,) = quietly(oscillation(0.03, 1), chains="x:v:a", inputs="u", dictionary=terms)
+    (equation,) = quietly(oscillation(0.03, 1), chains="x:v:a", inputs="u", dictionary=terms, holdout=0.0)
     assert equation.shown == ("x", "v", "u")
     assert equation.verdict.kind == "nearly true"
     said = re.fullmatch(
         r"the coefficient of x changes by \+(.*) % over the record \(p < 0.0001\)", equation.verdict.reason
     )
     assert 2.5 < float(said[1]) < 3.5
-    (steady,) = quietly(oscillation(0.0, 1), chains="x:v:a", inputs="u", dictionary=terms)
+    (steady,) = quietly(oscillation(0.0, 1), chains="x:v:a", inputs="u", dictionary=terms, holdout=0.0)
     assert steady.verdict.kind == "found"
 
 

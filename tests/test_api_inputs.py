@@ -11,6 +11,8 @@ import pytest
 import bayeq as bq
 from bayeq.errors import BayeqWarning, DataWarning, InputError
 
+ASKED = {"chains": "x:v:a", "inputs": ["u"], "dictionary": "x, v, x**3, u", "holdout": 0.0}
+
 
 @pytest.fixture(scope="module")
 def record() -> bq.Record:
@@ -19,7 +21,7 @@ def record() -> bq.Record:
 
 @pytest.fixture(scope="module")
 def answer(record: bq.Record) -> bq.Equations:
-    return bq.discover(record, chains="x:v:a", inputs=["u"])
+    return bq.discover(record, **ASKED)
 
 
 def test_masked_samples_of_a_mapping_are_missing(record: bq.Record) -> None:
@@ -27,7 +29,7 @@ def test_masked_samples_of_a_mapping_are_missing(record: bq.Record) -> None:
     x[100:104] = 1e3
     x.mask[100:104] = True
     with pytest.warns(DataWarning, match="x: 4 samples are missing"):
-        eq = bq.discover({"t": record.time, **record.channels, "x": x}, chains="x:v:a", inputs=["u"])
+        eq = bq.discover({"t": record.time, **record.channels, "x": x}, **ASKED)
     assert eq[0].coef["x"] == pytest.approx(-1000.0, rel=0.05)
 
 
@@ -57,11 +59,10 @@ def test_other_units_of_a_record_are_converted(record: bq.Record, answer: bq.Equ
 def test_records_in_other_units_become_one(record: bq.Record) -> None:
     second = bq.simulate("duffing", n=800, seed=2)
     other = second.with_channels({"x": 1e3 * second["x"]}, {"x": "mm"})
-    asked = {"chains": "x:v:a", "inputs": ["u"], "dictionary": "x, v, x**3, u"}
     with pytest.warns(DataWarning, match="duffing: x was converted from mm to m"):
-        found = bq.discover([record, other], **asked)
+        found = bq.discover([record, other], **ASKED)
     assert found[0].units["x"] == "m"
-    assert found[0].coef == pytest.approx(bq.discover([record, second], **asked)[0].coef, rel=1e-6)
+    assert found[0].coef == pytest.approx(bq.discover([record, second], **ASKED)[0].coef, rel=1e-6)
 
 
 def test_a_rate_that_is_not_that_of_the_time_left_as_a_channel_is_said(record: bq.Record) -> None:

@@ -229,10 +229,10 @@ def test_a_spike_does_not_spoil_the_equation(short, clean, name):
 
 
 @pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
-def test_missing_samples_are_bridged_and_reported(duffing):
+def test_missing_samples_are_bridged_and_reported(duffing, short):
     rng = np.random.default_rng(2)
-    gaps = {name: np.where(rng.random(duffing.n) < 0.02, np.nan, duffing[name]) for name in duffing.names}
-    record = duffing.with_channels(gaps)
+    gaps = {name: np.where(rng.random(short.n) < 0.02, np.nan, short[name]) for name in short.names}
+    record = short.with_channels(gaps)
     eqs = bq.discover(record, **FEW)
     count = int(np.isnan(record["v"]).sum())
     assert any(message.startswith(f"v: {count} samples are missing (rows") for message in eqs.warnings)

@@ -61,7 +61,7 @@ def test_a_band_leaves_hum_out(hum, tmp_path, capsys):
 
 @pytest.mark.parametrize("drifting", [pytest.param("x", marks=pytest.mark.slow), "a"])
 def test_channels_may_drift_below_the_band(drifting):
-    rec = bq.simulate("duffing", n=2000, seed=2, noise=0.02)
+    rec = bq.simulate("duffing", n=1200, seed=2, noise=0.02)
     walk = np.cumsum(np.random.default_rng(2).normal(size=rec.n))
     drift = 0.5 * rec[drifting].std() * walk / walk.std()
     record = rec.with_channels({drifting: rec[drifting] + drift}, rec.units)
@@ -76,7 +76,7 @@ def test_channels_may_drift_below_the_band(drifting):
 
 def test_slow_drifts_are_neither_a_misfit_nor_an_even_term():
     # a straight line and half a sine in each channel, and offsets; x**2 was found, or less power than that of a walk
-    rec, rng = bq.simulate("duffing", n=2000, seed=5, noise=0.02), np.random.default_rng(5)
+    rec, rng = bq.simulate("duffing", n=1200, seed=5, noise=0.02), np.random.default_rng(5)
     turn = np.linspace(0.0, 1.0, rec.n)
     slow = {name: np.sin(np.pi * turn + 6.0 * rng.uniform()) + 2.0 * turn for name in rec.channels}
     record = rec.with_channels({name: rec[name] + 0.15 * rec[name].std() * slow[name] for name in slow}, rec.units)

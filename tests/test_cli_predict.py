@@ -31,7 +31,9 @@ def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("run")
     for name, seed in (("first.npz", 1), ("second.npz", 2)):
         bq.write(bq.simulate("duffing", n=1200, seed=seed), path / name)
-    assert main(["discover", str(path / "first.npz"), *OSCILLATOR, "--save", str(path / "eq.json")]) == 0
+    assert (
+        main(["discover", str(path / "first.npz"), *OSCILLATOR, "--holdout", "0", "--save", str(path / "eq.json")]) == 0
+    )
     return path
 
 

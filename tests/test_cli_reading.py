@@ -99,10 +99,10 @@ def test_a_stand_off_is_warned_of_and_can_be_removed(duffing, tmp_path, capsys):
     duffing = duffing.slice(0, 700)
     x, v, a, u = channels(duffing)
     path = put(tmp_path / "run.csv", "t,x,v,a,u", duffing.time, x + 0.2, v, a, u)
-    _, as_it_is, _, said = discovered(capsys, path, "--physical")
+    _, as_it_is, _, said = discovered(capsys, path, "--physical", "--holdout", "0")
     assert any("--remove-offset x" in line for line in said)
     assert as_it_is["k"]["mean"] == pytest.approx(K, rel=0.02)
-    coef, removed, _, said = discovered(capsys, path, "--physical", "--remove-offset", "x")
+    coef, removed, _, said = discovered(capsys, path, "--physical", "--remove-offset", "x", "--holdout", "0")
     assert not any("--remove-offset" in line for line in said)
     assert removed["k"]["mean"] == pytest.approx(K, rel=0.01)
     assert coef["x"] == pytest.approx(-K, rel=0.01)
@@ -140,7 +140,10 @@ def test_a_saved_equation_per_sample_stays_per_sample(duffing, tmp_path, capsys)
     x, _, _, u = channels(duffing)
     rows = put(tmp_path / "rows.csv", "x,u", x, u)
     timed = put(tmp_path / "timed.csv", "t,x,u", duffing.time, x, u)
-    eq, options = tmp_path / "eq.json", ["--chain", "x::", "--input", "u", "--dictionary", "x, dx, x**3, u"]
+    eq, options = (
+        tmp_path / "eq.json",
+        ["--chain", "x::", "--input", "u", "--dictionary", "x, dx, x**3, u", "--holdout", "0"],
+    )
     assert run(capsys, "discover", rows, *options, "--save", eq)[0] == 0
     assert bq.load(eq).data.rows_as_time
     assert bq.load(eq)[0].shown_coef["x"] == pytest.approx(-K / 1000.0**2, rel=0.03)
@@ -171,10 +174,10 @@ def test_rows_are_taken_before_offsets(duffing, tmp_path, capsys):
     x, v, a, u = channels(duffing)
     shifted = x + np.where(np.arange(1500) < 500, 0.0, 50.0)
     path = put(tmp_path / "run.csv", "t,x,v,a,u", duffing.time, shifted, v, a, u)
-    coef, _, answer, _ = discovered(capsys, path, "--rows", ":500", "--remove-offset", "x")
+    coef, _, answer, _ = discovered(capsys, path, "--rows", ":500", "--remove-offset", "x", "--holdout", "0")
     assert answer["data"]["n"] == 500
     part = bq.remove_offset(duffing.slice(0, 500), "x")
-    expected = bq.discover(part, chains="x:v:a", inputs=["u"], dictionary="x, v, x**2, x**3, u")
+    expected = bq.discover(part, chains="x:v:a", inputs=["u"], dictionary="x, v, x**2, x**3, u", holdout=0.0)
     assert coef["x"] == pytest.approx(expected[0].shown_coef["x"], rel=1e-6)
 
 
@@ -237,9 +240,9 @@ def test_standard_input(duffing, tmp_path, capsys, monkeypatch):
             self.buffer = io.BytesIO(content)
 
     monkeypatch.setattr("sys.stdin", Piped(path.read_bytes()))
-    coef, _, answer, _ = discovered(capsys, "-")
+    coef, _, answer, _ = discovered(capsys, "-", "--smooth", "none")
     assert answer["data"]["file"] == "standard input"
-    assert coef == discovered(capsys, path)[0]
+    assert coef == discovered(capsys, path, "--smooth", "none")[0]
     monkeypatch.setattr("sys.stdin", Piped(b"t,x\n0,1\n1,one\n2,3\n"))
     code, out, said = run(capsys, "discover", "-", "--disp", "x")
     assert (code, out) == (2, "")

@@ -45,7 +45,9 @@ def test_a_result_that_cannot_be_printed_is_an_error_in_one_line(streams, code, 
         assert bayeq(*command, streams=streams) == (code, "", err)
 
 
-@pytest.mark.parametrize("streams", [pytest.param("2>&-", marks=pytest.mark.slow), "<&- 2>&-", "2>/dev/full"])
+@pytest.mark.parametrize(
+    "streams", [*(pytest.param(one, marks=pytest.mark.slow) for one in ("2>&-", "<&- 2>&-")), "2>/dev/full"]
+)
 def test_without_standard_error_the_result_is_printed(record, streams):
     code, out, _ = bayeq(*arguments(record), streams=streams)
     assert code == 0

@@ -9,7 +9,7 @@ from bayeq.errors import AmbiguityWarning
 
 
 def test_an_equation_is_not_written_with_more_terms_than_it_needs() -> None:
-    record = bq.simulate("linear", n=1500, seed=2, noise=0.02)
+    record = bq.simulate("linear", n=700, seed=2, noise=0.02)
     with pytest.warns(
         AmbiguityWarning, match=r"^a: .* can be written by the terms shown; either may be in: give fewer"
     ):

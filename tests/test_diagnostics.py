@@ -117,7 +117,7 @@ def test_an_adequate_equation_is_not_warned_of_and_states_its_residuals(tmp_path
         for seed in range(2):
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                eq = bq.discover(bq.simulate(system, seed=seed), **OSCILLATOR)
+                eq = bq.discover(bq.simulate(system, n=2000, seed=seed), **OSCILLATOR)
             assert not eq[0].residuals.driven
             assert not any("misses dynamics" in w for w in eq.warnings)
     out = eq.to_dict()["diagnostics"]["equations"]["a"]["residuals"]

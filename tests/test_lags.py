@@ -66,7 +66,7 @@ def test_rows_whose_input_a_lag_has_moved_out_of_the_record_test_nothing():
 
 def test_without_it_the_damping_is_wrong(late, answer):
     record, truth, _ = late
-    untold = quietly(record, dictionary=list(truth), holdout=0.0)
+    untold = quietly(record.slice(0, 700), dictionary=list(truth), holdout=0.0)
     damping = [eq.coefficients()["a"]["v"] for eq in (answer, untold)]
     told, untold = (abs(found / truth["v"] - 1.0) for found in damping)
     assert told < 0.03

@@ -16,17 +16,18 @@ from bayeq.errors import InputError
 
 @pytest.fixture(scope="module")
 def record():
-    return bq.simulate("duffing", n=2000, seed=1)
+    return bq.simulate("duffing", n=800, seed=1)
 
 
 @pytest.fixture(scope="module")
 def duffing(record):
-    return bq.discover(record, displacement="x", velocity="v", acceleration="a", force="u")
+    few = "x, v, x**2, x**3, u"
+    return bq.discover(record, displacement="x", velocity="v", acceleration="a", force="u", dictionary=few)
 
 
 @pytest.fixture(scope="module")
 def lorenz():
-    return bq.discover(bq.simulate("lorenz", seed=1), chains=["x", "y", "z"], dictionary="polynomial:2")
+    return bq.discover(bq.simulate("lorenz", n=500, seed=1), chains=["x", "y", "z"], dictionary="x, y, z, x*y, x*z")
 
 
 @pytest.fixture
@@ -143,7 +144,7 @@ def test_html_of_hostile_names_is_harmless(duffing):
 
 def test_html_of_a_record(record):
     html = record._repr_html_()
-    assert "2000 rows at 1000 Hz" in html
+    assert "800 rows at 1000 Hz" in html
     assert html.count("<tr>") == 1 + len(record.names)
     empty = bq.Record({"x": np.array([np.nan, np.nan])}, [0.0, 1.0])
     assert ">2</td>" in empty._repr_html_()

@@ -17,7 +17,7 @@ STATES = ("x", "y", "z")
 
 def measured(system, share, seed, constant=0.0):
     """Noise of a share of every reading, and a constant one of a share of the channel's deviation."""
-    clean, rng = bq.simulate(system, noise=0.0, seed=seed), np.random.default_rng(seed)
+    clean, rng = bq.simulate(system, n=1000, noise=0.0, seed=seed), np.random.default_rng(seed)
     channels = {}
     for name in clean.names:
         size = np.hypot(share * clean[name], constant * clean[name].std())

@@ -105,7 +105,7 @@ def uses(eq, record, folder):
     yield "physical", lambda: eq.physical(draws=100)
 
 
-@pytest.mark.statistical(short=50, full=3000)
+@pytest.mark.statistical(short=30, full=3000)
 @pytest.mark.filterwarnings("ignore")
 def test_files_that_load_can_be_used(saved, tmp_path, number):
     rng = random.Random(15)

@@ -81,7 +81,7 @@ def test_two_masses_of_which_only_accelerations_are_measured():
         initial={"p": 0.0, "q": 0.0, "v": 0.0, "w": 0.0},
         inputs=("u",),
         force=BandLimitedForce(10.0, (1.0, 20.0)),
-        n=1000,
+        n=600,
         fs=200.0,
         substeps=2,
         noise=0.01,

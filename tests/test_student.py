@@ -39,7 +39,7 @@ def test_gaussian_errors_have_equal_variances():
 
 
 def test_intervals_under_heavy_tails_are_shorter_and_cover():
-    record = with_noise(lambda rng, n: rng.standard_t(3, n) / np.sqrt(3.0))
+    record = with_noise(lambda rng, n: rng.standard_t(3, n) / np.sqrt(3.0), n=1200)
     with pytest.warns(DataWarning, match="left out"):
         gauss, student = (
             bq.discover(record, **AMONG_EIGHT, tails=tails, holdout=0.0) for tails in ("gauss", "student")

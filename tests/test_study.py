@@ -183,18 +183,18 @@ def test_what_is_missing_is_said(tmp_path):
         assert store.missing(["linear"], ("vb",), 3) == [[("linear", 0, "vb")], [("linear", 2, "vb")]]
 
 
-def test_an_interrupt_keeps_what_is_done(small, tmp_path):
+@pytest.mark.parametrize("jobs", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_an_interrupt_keeps_what_is_done(small, tmp_path, jobs):
     def stop(done, total):
         if done >= 4:
             raise KeyboardInterrupt
 
-    for jobs in (1, 2):
-        path = tmp_path / f"study{jobs}.db"
-        with pytest.raises(KeyboardInterrupt):
-            study(path, jobs=jobs, progress=stop)
-        assert 8 <= len(contents(path)) < 24
-        study(path, jobs=jobs)
-        assert shown(path) == shown(small)
+    path = tmp_path / "study.db"
+    with pytest.raises(KeyboardInterrupt):
+        study(path, jobs=jobs, progress=stop)
+    assert 8 <= len(contents(path)) < 24
+    study(path, jobs=jobs)
+    assert shown(path) == shown(small)
 
 
 KILLED = """
@@ -442,6 +442,7 @@ def added(process):
     return sum(int(line.split(": ")[1].split()[0]) for line in err.splitlines() if "realisations in" in line)
 
 
+@pytest.mark.slow  # of a batch, by the same store: test_batch
 def test_two_runs_on_one_store_share_the_work(tmp_path):
     path = tmp_path / "study.db"
     both = [started(path), started(path)]

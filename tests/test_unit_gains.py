@@ -248,8 +248,10 @@ def test_saved_and_loaded(tmp_path):
     ("make", "chain"),
     [
         (mm_g, "x:v:a"),
-        (mm, "x:v:"),
-        *(pytest.param(make, chain, marks=pytest.mark.slow) for make, chain in ((mm_g, "x:~v:a"), (mm, "x:v:a"))),
+        *(
+            pytest.param(make, chain, marks=pytest.mark.slow)
+            for make, chain in ((mm, "x:v:"), (mm_g, "x:~v:a"), (mm, "x:v:a"))
+        ),
     ],
 )
 def test_physical_parameters_are_right_in_stated_units(make, chain):
