@@ -154,7 +154,7 @@ def test_warnings_in_plain_words():
     assert any("fewer rows than terms" in w for w in messages)
     assert any("none held out" in w for w in messages)
     messages = quietly(rec, **OSCILLATOR, dictionary="x + v + u", smooth="none").warnings
-    assert any("x+v+u is one term, with one coefficient: write a comma between terms" in w for w in messages)
+    assert any("x+v+u is one term, with one coefficient: give several with commas" in w for w in messages)
     x = rec["x"]
     twin = rec.with_channels({"w": x + 1e-4 * np.std(x) * np.random.default_rng(0).normal(size=300)})
     # a smoothed x would be told from its twin, which keeps the noise

@@ -142,11 +142,13 @@ def named_channels(options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str
     named = Names()
     out = dict(options)
     for role in ROLES:
-        if out[role]:
+        if out.get(role):
             out[role] = named.parts(out[role])
-    out["inputs"] = [named.parts(text) for text in out["inputs"]]
-    out["target"] = [named.parts(one) for text in out["target"] for one in text.split(",")]
-    out["chains"] = [named.parts(text) for text in out["chains"]]
+    out["inputs"] = [named.parts(text) for text in out.get("inputs") or ()]
+    if out.get("target"):
+        out["target"] = [named.parts(one) for text in out["target"] for one in text.split(",")]
+    if out.get("chains"):
+        out["chains"] = [named.parts(text) for text in out["chains"]]
     return out, named.paths if named.any_path else {}
 
 

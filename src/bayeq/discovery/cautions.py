@@ -97,7 +97,7 @@ def warn_of_terms(design: Design, log: WarningLog) -> None:
     n, terms = design.train[0].n, len(design.terms)
     if terms == 1 and isinstance(sums := design.terms[0].tree, Binary) and sums.op == "+":
         log.warn(
-            f"{design.terms[0].text} is one term, with one coefficient: write a comma between terms, as in x, v",
+            f"{design.terms[0].text} is one term, with one coefficient: give several with commas, as in x, v",
             TermWarning,
         )
     if n <= terms:
