@@ -18,7 +18,7 @@ from bayeq.dictionary import Variables, build_dictionaries, build_dictionary
 from bayeq.dictionary.ranges import ConstantEstimate, families, grids, located
 from bayeq.equation.brief import brief
 from bayeq.equation.explain import explanation
-from bayeq.equation.written import at_end, constant_units, plain_sd
+from bayeq.equation.written import at_end, constant_units, limit_of, plain_sd
 from bayeq.errors import DataWarning, ExpressionError, InputError
 from bayeq.expressions import Evaluator, Unknown, parse
 from bayeq.likelihood.nodes import derivative
@@ -323,7 +323,7 @@ def test_a_constant_at_the_end_of_its_range_is_said(record):
     with pytest.warns(DataWarning, match="v0 is at the lower end of its range"):
         eqs = found(record.slice(0, 300), "x, v, u, tanh(v/{v0: 0.4..4})", holdout=0.0)
     message = (
-        "v0 is at the lower end of its range (0.4 .. 4 m/s): give a wider one, {v0: low..high}, or the term without it"
+        "v0 is at the lower end of its range (0.4 .. 4 m/s): give a wider one, {v0: low..high}, or sign(v) in its place"
     )
     assert eqs.equations[0].at_ends == (message,)
     assert message in str(eqs).replace("\n", " ")
@@ -339,6 +339,23 @@ def test_sentences_on_ends():
     ]
     assert [*at_end(replace(one, ci95=(1.5, 2.5)))] == []
     assert "upper end" in next(at_end(replace(one, value=8.99)))
+
+
+@pytest.mark.parametrize(
+    ("text", "lower", "upper"),
+    [
+        ("v/sqrt(v**2+{c}**2)", "sign(v) in its place", "v in its place"),
+        ("atan({c}*v)", "v in its place", "sign(v) in its place"),
+        ("x/({c}+x)", "the term without it", "x in its place"),
+        ("exp({c}*x)", "the term without it", "the term without it"),
+    ],
+)
+def test_what_a_term_is_far_beyond_the_ends(text, lower, upper):
+    term = parse(text)
+    term = term.with_unknowns({"c": replace(term.unknowns["c"], value=1.0, low=0.1, high=10.0)})
+    one = ConstantEstimate("c", 1.0, 0.1, (0.8, 1.2), 0.1, 10.0, True, (term.text,))
+    assert limit_of(one, [term], "lower") == lower
+    assert limit_of(one, [term], "upper") == upper
 
 
 def test_coarsening_widens_the_interval_of_the_constant(record):

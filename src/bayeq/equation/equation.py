@@ -204,7 +204,9 @@ class Equation:
     def at_ends(self) -> tuple[str, ...]:
         """What is to be said of constants at the ends of their ranges, and of forms without a likelihood."""
         units, p = self.constant_units, self.posterior
-        ends = (text for one in self.shown_constants for text in written.at_end(one, units.get(one.name, "")))
+        ends = (
+            text for one in self.shown_constants for text in written.at_end(one, units.get(one.name, ""), self.terms)
+        )
         return *ends, *written.left_out_forms(self.forms, dict(zip(p.names, p.pip.tolist(), strict=True)))
 
     @property

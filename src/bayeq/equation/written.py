@@ -12,6 +12,9 @@ from dataclasses import replace
 from fractions import Fraction
 from typing import Any
 
+import numpy as np
+
+from bayeq.dictionary import evaluate_terms
 from bayeq.dictionary.ranges import ConstantEstimate, Forms, beside
 from bayeq.errors import InputError
 from bayeq.expressions import Binary, Call, Constant, Expression, Negate, Node, Number, Symbol, Unknown
@@ -20,6 +23,9 @@ from bayeq.expressions.nodes import arguments_of, with_arguments
 from bayeq.expressions.symbolic import step_latex
 from bayeq.records.names import Unit, derivative_ratio, in_si, multiply_units, parse_unit, written_unit
 from bayeq.states import Chain
+
+# A constant that is this many times the end of its range is far beyond it.
+BEYOND = 1e-9
 
 # Functions of numbers without a unit; those of angles, and units of these.
 PURE = (
@@ -286,17 +292,35 @@ def plain_sd(one: ConstantEstimate) -> float:
     return (one.sd or 0.0) * (abs(one.value) if one.logarithmic else 1.0)
 
 
-def at_end(one: ConstantEstimate, unit: str = "") -> Iterator[str]:
+def limit_of(one: ConstantEstimate, terms: Sequence[Expression], end: str) -> str:
+    """What stands for the only term of a constant far beyond an end of its range: ``sign(v)`` for tanh(v/{v0})."""
+    own = [term for term in terms if term.text in one.terms and len(term.names) == 1]
+    if len(own) != 1 or not one.low > 0.0:
+        return "the term without it"
+    (term,), (name,), places = own, own[0].names, np.array([-2.0, -1.0, 1.0, 2.0])
+    far = replace(term.unknowns[one.name], value=one.low * BEYOND if end == "lower" else one.high / BEYOND)
+    with np.errstate(all="ignore"):
+        values = evaluate_terms([term.with_unknowns({one.name: far})], {name: places})[:, 0]
+    for text, shape in ((f"sign({name})", np.sign(places)), (name, places)):
+        ratio = values / shape
+        if np.isfinite(ratio).all() and ratio[0] and np.allclose(ratio, ratio[0], rtol=1e-6, atol=0.0):
+            return f"{text} in its place"
+    return "the term without it"
+
+
+def at_end(one: ConstantEstimate, unit: str = "", terms: Sequence[Expression] = ()) -> Iterator[str]:
     """What to say of a constant whose value, or interval, ends with its range; nothing of others."""
     low, value, high = (math.log(end) if one.logarithmic else end for end in (one.low, one.value, one.high))
     place = (value - low) / (high - low)
     shown = f"({one.low:.3g} .. {one.high:.3g}{f' {unit}' if unit not in ('', '1') else ''})"
-    cure = f"give a wider one, {{{one.name}: low..high}}, or the term without it"
+    cure = f"give a wider one, {{{one.name}: low..high}}, or "
     if min(place, 1.0 - place) < AT_END:
-        yield f"{one.name} is at the {'lower' if place < 0.5 else 'upper'} end of its range {shown}: {cure}"
+        end = "lower" if place < 0.5 else "upper"
+        yield f"{one.name} is at the {end} end of its range {shown}: {cure}{limit_of(one, terms, end)}"
         return
     ends = [end for end, reached in (("lower", one.ci95[0] <= one.low), ("upper", one.ci95[1] >= one.high)) if reached]
     if ends:
+        cure += limit_of(one, terms, ends[0]) if len(ends) == 1 else "the term without it"
         yield f"the interval of {one.name} reaches the {' and the '.join(ends)} end of its range {shown}: {cure}"
 
 
