@@ -195,7 +195,7 @@ def _listed(task: Task, fitted: Fitted, some: Sequence[int]) -> str:
 
 def _averaged(task: Task, fitted: Fitted) -> float:
     """The log evidence of a fit, averaged over the ranges of its constants."""
-    return fitted.evidence + min([0.0, *_costs(task, fitted).values()])
+    return fitted.evidence + sum(_lost(task, fitted).values())
 
 
 def _elsewhere(motion: Motion, task: Task, fitted: Fitted, family: Sequence[int]) -> tuple[Task, Fitted]:
@@ -392,18 +392,24 @@ def _with_odds(task: Task, fitted: Fitted) -> Task:
 
 
 def _costs(task: Task, fitted: Fitted) -> dict[int, float]:
-    """What each term with constants that is in the model loses of its log odds: at least the range is not narrower."""
-    state, terms = fitted.state, task.layout.terms
+    """What each term with constants that is in the model loses of its log odds."""
+    lost = _lost(task, fitted)
+    names = {j: term.unknowns for j, term in enumerate(task.layout.terms) if term.unknowns} if lost else {}
+    return {j: sum(lost.get(name, 0.0) for name in own) for j, own in names.items()}
+
+
+def _lost(task: Task, fitted: Fitted) -> dict[str, float]:
+    """What the model loses to the range of each of its constants, in nats: at least the range is not narrower."""
+    state = fitted.state
     if not tangents_of(task.layout, state.chosen, state.theta):
         return {}
     _, estimates = joint_covariance(task, state)
-    constants = constants_of(terms)
-    lost = {
+    constants = constants_of(task.layout.terms)
+    return {
         one.name: min(0.0, math.log(math.sqrt(2.0 * math.pi) * one.sd / extent(constants[one.name])))
         for one in estimates
         if one.sd is not None
     }
-    return {j: sum(lost.get(name, 0.0) for name in term.unknowns) for j, term in enumerate(terms) if term.unknowns}
 
 
 def _of_law(task: Task, family: Sequence[int]) -> bool:
