@@ -209,8 +209,7 @@ def grids(
     each = []
     for name in names:
         path = next(path for term in terms for path in _paths(term.tree, name))
-        bends = min(BEND_NODES, max(NODES, int(BEND_GRID ** (1.0 / len(names)))))
-        each.append(_nodes(constants[name], path, constants, columns, bends))
+        each.append(_nodes(constants[name], path, constants, columns, len(names)))
     count = math.prod(map(len, each))
     if count > MOST_NODES:
         raise InputError(
@@ -396,7 +395,7 @@ def _values(node: Node, constants: Mapping[str, Unknown], columns: Columns) -> l
 
 
 def _nodes(
-    constant: Unknown, path: tuple[Node, ...], constants: Mapping[str, Unknown], columns: Columns, bends: int
+    constant: Unknown, path: tuple[Node, ...], constants: Mapping[str, Unknown], columns: Columns, of: int
 ) -> list[float]:
     place = _place(path)
     low, high = constant.low, constant.high
@@ -410,7 +409,11 @@ def _nodes(
         step = APART * 2.0 * math.pi / _span(values)
         found = np.linspace(low, high, max(NODES, math.ceil((high - low) / step) + 1))
         return (1.0 / found if below else found).tolist()
-    count = JUMP_NODES if _jumps(path) else bends if _bends(path) else NODES
+    count = NODES
+    if _jumps(path):
+        count = JUMP_NODES
+    elif _bends(path):
+        count = min(BEND_NODES, max(NODES, int(BEND_GRID ** (1.0 / of))))
     return (np.geomspace if is_scale(constant) else np.linspace)(low, high, count).tolist()
 
 

@@ -95,11 +95,9 @@ def warn_of_zero(design: Design, records: Sequence[Record], log: WarningLog) -> 
 
 def warn_of_terms(design: Design, log: WarningLog) -> None:
     n, terms = design.train[0].n, len(design.terms)
-    if terms == 1 and isinstance(sums := design.terms[0].tree, Binary) and sums.op == "+":
-        log.warn(
-            f"{design.terms[0].text} is one term, with one coefficient: give several with commas, as in x, v",
-            TermWarning,
-        )
+    sums = [term for term in design.terms if isinstance(term.tree, Binary) and term.tree.op == "+"]
+    if len(sums) == terms == 1:
+        log.warn(f"{sums[0].text} is one term, with one coefficient: give several with commas, as in x, v", TermWarning)
     if n <= terms:
         log.warn(
             f"{n} training rows for {terms} candidate terms: fewer rows than terms; measure more, or give fewer terms",

@@ -54,9 +54,6 @@ SOURCES = ("records", "t", "stream", "client", "checkpoint")
 # ... and those that say which channel plays which part, as `Roles.parse` takes them.
 ROLES = ("chains", "displacement", "velocity", "acceleration", "force", "inputs", "target", "discrete")
 
-# ... and those that a question keeps as they are.
-AS_GIVEN = ("method", "holdout", "coarsen", "prior", "conserve", "differs", "tails", "band", "seed")
-
 
 # The parameters are those of the public contract; all but the records have defaults.
 def discover(
@@ -316,15 +313,23 @@ def question_of(**asked: Any) -> Question:
         terms=tuple(terms),
         allowed=allowed,
         dictionary=dictionary,
+        method=given.method,
         smooth=smooth,
+        holdout=given.holdout,
         rules=rules,
+        coarsen=given.coarsen,
+        prior=given.prior,
         known=known,
         conserved=parse_conserved(given.conserve, roles.chains) if given.conserve else {},
+        conserve=given.conserve,
+        differs=given.differs,
         noise=noise,
         gain_sd=gain_sd,
         lag_sd=lag_sd,
+        tails=given.tails,
+        band=given.band,
+        seed=given.seed,
         step=silent if given.progress is None else given.progress,
-        **{name: asked[name] for name in AS_GIVEN},
     )
 
 

@@ -270,7 +270,7 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
 def _late(equation: Equation, motion: Motion) -> Suspect | None:
     """The channel, of several, that most of what is left follows some rows earlier or later."""
     driver, time = equation.residuals.driver, motion.train[0].time
-    channels = {*motion.roles.measured, *motion.roles.inputs}
+    channels = motion.roles.channels
     if driver is None or driver.name not in channels or len(channels) < 2 or time is None or motion.roles.discrete:
         return None
     if not driver.lag or driver.correlation**2 <= 0.5:

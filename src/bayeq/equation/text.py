@@ -173,9 +173,8 @@ def _render_equation(
 
 def forms_of(equation: Equation) -> list[str]:
     """How likely the members of each either-or are that is in the equation."""
-    out = []
+    out, shown = [], set(equation.shown)
     for found in equation.forms.values():
-        shown = set(equation.shown)
         if len(found) > 1 and any(shown.issuperset(split_at(name)) for name in found):
             top = max(found.values())
             weight = {name: math.exp(value - top) for name, value in found.items()}

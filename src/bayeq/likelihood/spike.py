@@ -70,8 +70,8 @@ class Nearly:
 def softened(q: Quadratic, root: Floats, spread: Floats) -> Quadratic:
     """The likelihood about p coefficients with deviations N(0, S S') integrated out, S = `spread`, (p, K).
 
-    With F'S = U diag(s) V' the information is F (I - U U') F' + F U diag(1/(1 + s^2)) U' F': the difference A - A S (I
-    + S'A S)^-1 S'A, which it equals, is lost in rounding where the noise is little; F, (p, r), is its root.
+    With F'S = U diag(s) V' the information is F (I - U U') F' + F U diag(1/(1 + s^2)) U' F': the difference
+    A - A S (I + S'A S)^-1 S'A, which it equals, is lost in rounding where the noise is little; F, (p, r), is its root.
     """
     U, s, _ = np.linalg.svd(root.T @ spread, full_matrices=False)
     left, inside = 1.0 / (1.0 + s**2), root @ U
@@ -213,6 +213,11 @@ class Soft:
         visible = (np.arange(layout.chains)[:, None] * width + column).ravel()
         return cls(task, fitted, visible, whole, about, spreads, constants)
 
+    @property
+    def known(self) -> list[Bools]:
+        """The model of the fit, from which searches begin too."""
+        return [self.task.narrow(self.fitted.model)]
+
     @cached_property
     def root(self) -> Floats:
         """The root of the information on all."""
@@ -234,16 +239,14 @@ class Soft:
             return float(self.models(tau).log_posterior[0])
         if tau not in self.likeliest:
             q, largest = self.quadratic(tau)
-            self.likeliest[tau] = (
-                best_models(self.task.problem(q), [self.task.narrow(self.fitted.model)])[0][0] + largest
-            )
+            self.likeliest[tau] = best_models(self.task.problem(q), self.known)[0][0] + largest
         return self.likeliest[tau]
 
     def models(self, tau: Sizes) -> ModelSet:
         """The models given sizes, with ln p(data, model | sizes) up to the same constant."""
         if tau not in self.sets:
             q, largest = self.quadratic(tau)
-            found = list_models(self.task.problem(q), known=[self.task.narrow(self.fitted.model)])
+            found = list_models(self.task.problem(q), known=self.known)
             finite = np.isfinite(found.log_posterior)  # terms that are one and the same to rounding may overflow
             if not finite.any():
                 raise np.linalg.LinAlgError("no model's evidence is finite")

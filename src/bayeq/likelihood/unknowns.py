@@ -97,7 +97,7 @@ def with_constants(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fi
     task, fitted = settled(motion, task, finished(task, fitted))
     forms: dict[str, dict[str, float]] = {}
     for choice, members in choices.items():
-        active = next((j for j in members if _is_active(task, j)), members[0])
+        active = next((j for j in members if allowed_in(task)[:, j].any()), members[0])
         first, found = (task, fitted), dict[str, float]()
         for j in (active, *(j for j in members if j != active)):
             try:
@@ -112,10 +112,9 @@ def with_constants(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fi
         if not found:
             raise np.linalg.LinAlgError(f"{choice}: the likelihood of none is finite")
         forms[choice] = found
-    for family in families(task.layout.terms):
-        if any(_is_active(task, j) for j in family) and not _of_law(task, family):
-            task, fitted, found = _beside_a_series(motion, task, fitted, family)
-            forms |= {" | ".join(found): found} if found else {}
+    for family in _sought(task):
+        task, fitted, found = _beside_a_series(motion, task, fitted, family)
+        forms |= {" | ".join(found): found} if found else {}
     return _with_odds(task, fitted), fitted, forms
 
 
@@ -126,9 +125,8 @@ def settled(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fitted]:
         other = moved(task, fitted, motion)
         if other[1].evidence > fitted.evidence:
             task, fitted = other
-        for family in families(task.layout.terms):
-            if any(_is_active(task, j) for j in family) and not _of_law(task, family):
-                task, fitted = _elsewhere(motion, task, fitted, family)
+        for family in _sought(task):
+            task, fitted = _elsewhere(motion, task, fitted, family)
         if fitted is before or fitted.evidence < before.evidence + BETTER:
             break
     return task, fitted
@@ -149,35 +147,30 @@ def _beside_a_series(
         for j, one in enumerate(terms)
         if j not in family and one.names & names and not one.unknowns and not isinstance(one.tree, Symbol)
     ]
-    series = [j for j in bent if terms[j].names <= names]
-    fits = [(task, fitted)]
-    for held, out in ((series, bent), (family, family)):
-        if _holds(task, fitted.model, held):
-            with suppress(np.linalg.LinAlgError):
-                fits += _instead_of(motion, task, fitted, out, family)
+    series, fits = [j for j in bent if terms[j].names <= names], [(task, fitted)]
+    if _holds(task, fitted.model, series):
+        with suppress(np.linalg.LinAlgError):
+            fits.append(_alone(motion, _without(task, bent), fitted, family))
+    if _holds(task, fitted.model, family):
+        bare = _without(task, family)
+        with suppress(np.linalg.LinAlgError):
+            (now, _), (least, model) = (best_models(one.problem(fitted.quadratic))[0] for one in (task, bare))
+            if least > now - MISLEADS:  # otherwise nothing stands for the family
+                fits.append(settle(bare, with_model(bare, fitted, bare.wide(model))))
     scores, forms = [_averaged(*one) for one in fits], [_listed(*one, [*family, *series]) for one in fits]
-    told = bool(all(forms))  # otherwise the family is not needed, as its probability says
+    told = all(forms)  # otherwise the family is not needed, as its probability says
     close = [k for k, score in enumerate(scores) if score > max(scores) - (CLOSE if told else BETTER)]
-    k = min(close, key=lambda k: (fits[k][1].model.sum(), -scores[k])) if told else close[0]
-    best = {forms[k]: scores[k] for k in sorted(close, key=lambda k: scores[k])}
-    task = replace(fits[k][0], log_odds=task.log_odds, recent=[])
-    return task, fits[k][1], best if told and len(best) > 1 else {}
+    best = min(close, key=lambda k: (fits[k][1].model.sum(), -scores[k])) if told else close[0]
+    likely = {forms[k]: scores[k] for k in sorted(close, key=lambda k: scores[k])}
+    found, fitted = fits[best]
+    return replace(found, log_odds=task.log_odds, recent=[]), fitted, likely if told and len(likely) > 1 else {}
 
 
-def _instead_of(
-    motion: Motion, task: Task, fitted: Fitted, out: Sequence[int], family: Sequence[int]
-) -> list[tuple[Task, Fitted]]:
-    """A fit without some terms, and with values of a family that explain most beside the others if these are not its.
-
-    Nothing where the family is needed by far.
-    """
-    bare = _without(task, out)
-    if out is family:
-        (now, _), (least, model) = (best_models(one.problem(fitted.quadratic))[0] for one in (task, bare))
-        return [] if least < now - MISLEADS else [settle(bare, with_model(bare, fitted, bare.wide(model)))]
-    values, _ = ranked(task.layout.terms, motion, allowed_in(bare), family)
-    nodes = on_gram(bare, fitted, family, values[:TRIED])
-    return [moved(*settle(*start_at(motion, bare, fitted, max(nodes, key=lambda one: one.score))), motion)]
+def _alone(motion: Motion, task: Task, fitted: Fitted, family: Sequence[int]) -> tuple[Task, Fitted]:
+    """A fit of a task with the values of a family's constants that explain most beside its other candidates."""
+    values, _ = ranked(task.layout.terms, motion, allowed_in(task), family)
+    nodes = on_gram(task, fitted, family, values[:TRIED])
+    return moved(*settle(*start_at(motion, task, fitted, max(nodes, key=lambda one: one.score))), motion)
 
 
 def _without(task: Task, terms: Sequence[int]) -> Task:
@@ -189,8 +182,7 @@ def _without(task: Task, terms: Sequence[int]) -> Task:
 
 def _listed(task: Task, fitted: Fitted, some: Sequence[int]) -> str:
     """Those of some terms that a model has in any equation."""
-    held = np.atleast_1d(fitted.model.reshape(task.layout.chains, -1).any(axis=0))
-    return ", ".join(task.layout.terms[j].text for j in some if held[j])
+    return ", ".join(task.layout.terms[j].text for j in some if _holds(task, fitted.model, [j]))
 
 
 def _averaged(task: Task, fitted: Fitted) -> float:
@@ -412,11 +404,9 @@ def _lost(task: Task, fitted: Fitted) -> dict[str, float]:
     }
 
 
-def _of_law(task: Task, family: Sequence[int]) -> bool:
-    """Whether terms of a family are laws of hidden states, which were found along the record."""
-    stated = [chain.stated for chain in task.layout.roles.chains]
-    return bool(allowed_in(task)[np.ix_(stated, family)].any())
-
-
-def _is_active(task: Task, j: int) -> bool:
-    return bool(allowed_in(task)[:, j].any())
+def _sought(task: Task) -> list[list[int]]:
+    """Families that some equation may have, but those of laws of hidden states, which were found along the record."""
+    allowed, stated = allowed_in(task), [chain.stated for chain in task.layout.roles.chains]
+    return [
+        own for own in families(task.layout.terms) if allowed[:, own].any() and not allowed[np.ix_(stated, own)].any()
+    ]
