@@ -127,6 +127,19 @@ def test_room_used_up_is_said(monkeypatch):
     assert fit.average.left_out > 5e-3
 
 
+def test_terms_beside_a_posterior_too_wide_to_list_are_settled(monkeypatch):
+    monkeypatch.setattr("bayeq.inference.collapsed.listing.MOST_MODELS", 1000)
+    D, y, _ = reference.random_problem(np.random.default_rng(0), n=25, P=40, rho=0.9, noise=3.0)
+    D = np.block([[D, np.zeros((25, 1))], [np.zeros((25, 40)), np.ones((25, 1))]])
+    gram = Gram.from_data(D, np.append(y, np.full(25, 9 * y.std())))
+    for revise in (None, lambda found: found):
+        fit = spike_slab_bma(gram, revise=revise)
+        assert not fit.details.converged
+        assert fit.details.unsettled
+        assert gram.names[-1] not in fit.details.unsettled
+        assert fit.pip[-1] > 0.999
+
+
 def test_groups_of_columns_that_stand_in_for_each_other():
     rng = np.random.default_rng(0)
     x = rng.normal(size=300)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from bayeq.errors import DataWarning, InputError
 from bayeq.forecast.free_run import correlation_time, typical_period
 from bayeq.forecast.rows import rows_of
 from bayeq.inference import gibbs
+from bayeq.likelihood import spike
 from bayeq.regression.residuals import Fit
 from bayeq.states import estimate_motion
 
@@ -182,6 +184,21 @@ def test_an_engine_that_did_not_converge_finds_nothing(monkeypatch):
     assert eq.verdict.kind == "not determined"
     assert "did not converge" in eq.verdict.reason
     assert eq.verdict.advice == "give fewer candidate terms, or compare with another method"
+
+
+def test_an_equation_whose_terms_are_settled_is_found_beside_one_of_a_search_stopped_early(monkeypatch):
+    averaged = spike.spike_slab_bma
+
+    def stopped(*args, **options):
+        found = averaged(*args, **options)
+        return replace(found, details=replace(found.details, converged=False, unsettled=(found.names[0],)))
+
+    monkeypatch.setattr(spike, "spike_slab_bma", stopped)
+    eqs = quietly(
+        bq.simulate("lorenz", n=500, seed=1), chains=["x", "y", "z"], dictionary=["x", "y", "x*y", "x*z", "z"]
+    )
+    assert [one.verdict.kind for one in eqs] == ["not determined", "found", "found"]
+    assert [one.posterior.details.converged for one in eqs] == [False, True, True]
 
 
 # --- how long runs are -----------------------------------------------------------------------------------------------

@@ -126,15 +126,16 @@ def spike_slab_bma(
     `tolerance` of the posterior mass. `revise` returns the models found with other log posteriors. `coef` and
     `covariance` are those of the median probability model (Barbieri and Berger 2004), exact given the model; `average`
     lists the models. Where these leave out more than the tolerance, `pip` is the probability of each term given the
-    others averaged over models, and `converged` is False if the two differ by more than the tolerance; `contradicted`
-    names terms whose known signs or bounds the data contradict.
+    others averaged over models, and `unsettled` are terms of which the two differ by more than the tolerance (before
+    `revise`); `contradicted` names terms whose known signs or bounds the data contradict.
     """
     prior = prior or Prior()
     problem, limits = Problem.of(gram, prior), prior.limits
     found = average_models(problem, limits, tolerance=tolerance, enumerate_up_to=enumerate_up_to)
-    found = found if revise is None else revise(found)
-    found = found if revise is None else replace(found, inclusion=None)  # which was that before
-    weights, (pip, converged) = found.weights, found.pip(tolerance)
+    settled = found.pip(tolerance)[1]
+    if revise is not None:
+        found = replace(revise(found), inclusion=None)  # which was that before
+    weights, (pip, known) = found.weights, found.pip(tolerance)
     complete = found.left_out <= tolerance * (1.0 + 1e-9)
     enough, most = np.searchsorted(np.cumsum(weights), (1.0 - MOMENT_MASS, 1.0 - TRUNCATED_MASS)).tolist()
     enough = min(enough, max(most, TRUNCATED_MODELS)) + 1 if limits is not None else enough + 1
@@ -161,7 +162,15 @@ def spike_slab_bma(
         covariance=second - np.outer(mean[terms], mean[terms]),
     )
     contradicted = tuple(gram.names[j] for j in found.contradicted)
-    details = Details("bma", found.expanded, converged, problem.slab_variance, contradicted=contradicted)
+    unsettled = tuple(gram.names[j] for j in np.flatnonzero(~(settled | known)))
+    details = Details(
+        "bma",
+        found.expanded,
+        not unsettled,
+        problem.slab_variance,
+        contradicted=contradicted,
+        unsettled=unsettled,
+    )
     averaged = Averaged(mean, np.sqrt(np.maximum(square - mean * mean, 0.0)))
     return of_standardised(gram, pip, support, coef, conditional, noise, details, averaged, listed)
 

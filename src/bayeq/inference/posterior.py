@@ -225,6 +225,8 @@ class Details:
         Bounds that intervals are cut at, infinite where there are none; signs alone are none.
     contradicted : tuple of str
         Terms whose known signs or bounds the data contradict.
+    unsettled : tuple of str
+        Terms whose probabilities a search of models, stopped at its limit, does not know.
     elbo_trace : (n,) array
         Evidence lower bound of variational Bayes after each sweep.
     optimum : (P,) bool array or None
@@ -239,6 +241,7 @@ class Details:
     slab_variance: float | None = None
     bounds: Floats | None = None
     contradicted: tuple[str, ...] = ()
+    unsettled: tuple[str, ...] = ()
     elbo_trace: Floats = field(default_factory=lambda: np.empty(0))
     optimum: Bools | None = None
     rhat: float | None = None

@@ -350,9 +350,11 @@ class Flows:
         terms = np.flatnonzero(models.any(axis=0))
         spread = units[:, average.terms] @ average.covariance @ units[:, average.terms].T
         coef = units @ found.averaged.coef
+        names = tuple(map(str, range(len(pip))))
         return replace(
             found,
-            names=tuple(map(str, range(len(pip)))),
+            names=names,
+            details=replace(found.details, unsettled=() if found.details.converged else names),
             pip=pip,
             support=support,
             coef=np.where(support, coef, 0.0),

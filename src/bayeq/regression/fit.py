@@ -403,6 +403,7 @@ def _equation(regression: Regression, record: RecordFit, constraints: Constraint
     standard = record.standards[k]
     prior = Prior(slab_variance=1.0, prior_inclusion=np.asarray(record.task.known.prior_inclusion)[terms])
     support = joint.support[terms]
+    settled = not {joint.names[j] for j in block}.intersection(joint.details.unsettled)
     coef, covariance = exact_posterior(Problem.of(standard.gram, prior), support, None)
     assert joint.averaged is not None
     assert joint.average is not None
@@ -416,7 +417,7 @@ def _equation(regression: Regression, record: RecordFit, constraints: Constraint
         constant=Constant(np.zeros(len(terms))),
         noise_variance=1.0,
         n=standard.source.n,
-        details=Details(method, joint.details.n_iter, joint.details.converged, 1.0),
+        details=Details(method, joint.details.n_iter, settled, 1.0),
         averaged=Averaged(joint.averaged.coef[terms], joint.averaged.sd[terms]),
         average=average,
     )

@@ -64,15 +64,15 @@ class ModelSet:
     # the listing needs all of their combinations.
     inclusion: Floats | None = None
 
-    def pip(self, tolerance: float) -> tuple[Floats, bool]:
-        """Inclusion probabilities, (P,), and whether they are known to a tolerance.
+    def pip(self, tolerance: float) -> tuple[Floats, Bools]:
+        """Inclusion probabilities, (P,), and of which it is known that they are right to a tolerance, (P,).
 
         Where the set leaves out more they are the average of those given the other terms, known if the set agrees.
         """
         listed = np.minimum(shares(self.models, self.weights), 1.0)
         if self.left_out <= tolerance * (1.0 + 1e-9) or self.inclusion is None:
-            return listed, self.left_out <= tolerance * (1.0 + 1e-9)
-        return self.inclusion, bool(np.abs(self.inclusion - listed).max() <= tolerance)
+            return listed, np.full(len(listed), self.left_out <= tolerance * (1.0 + 1e-9))
+        return self.inclusion, np.abs(self.inclusion - listed) <= tolerance
 
     @property
     def weights(self) -> Floats:
