@@ -129,7 +129,6 @@ class RecordFit:
             if not (np.diagonal(other.quadratic.information) > 0.0).all():  # a hidden state that nothing depends on
                 raise np.linalg.LinAlgError("no information on some candidates")
             task, best = moved(self.task, other)
-            task, best = (task, best) if best.evidence > other.evidence else (self.task, other)
             return replace(self, task=task, fitted=replace(best, power=self.fitted.power))
         except np.linalg.LinAlgError:  # motion that it does not stay near: as the likelihood about the former tells it
             return replace(self, fitted=replace(self.fitted, model=model), own=False)

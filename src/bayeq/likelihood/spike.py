@@ -448,7 +448,6 @@ def among_neighbours(task: Task, best: Fitted, fewer: bool = False) -> tuple[Tas
             except np.linalg.LinAlgError:
                 continue
             other = moved(task, fitted) if constants else (task, fitted)
-            other = max((task, fitted), other, key=lambda pair: pair[1].evidence)
             tried[model.tobytes()] = other[1].evidence
             better = max(better, other, key=lambda pair: pair[1].evidence)
         if better[1] is best:

@@ -122,9 +122,7 @@ def settled(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fitted]:
     """The fit after rounds of steps from its values and of others."""
     for _ in range(ROUNDS):
         before = fitted
-        other = moved(task, fitted, motion)
-        if other[1].evidence > fitted.evidence:
-            task, fitted = other
+        task, fitted = moved(task, fitted, motion)
         for family in _sought(task):
             task, fitted = _elsewhere(motion, task, fitted, family)
         if fitted is before or fitted.evidence < before.evidence + BETTER:
@@ -293,8 +291,8 @@ def _as_one(
 
 
 def moved(task: Task, fitted: Fitted, motion: Motion | None = None) -> tuple[Task, Fitted]:
-    """The fit with its constants moved to where they are likeliest, if the likelihood is finite on the way; priors are
-    those of the terms in the rows of the motion, if it is given."""
+    """The fit, or a likelier one with its constants moved to where they are likeliest; priors are those of the terms in
+    the rows of the motion, if it is given."""
     if not tangents_of(task.layout, fitted.state.chosen, fitted.state.theta):
         return task, fitted
     now, last, halved = (task, fitted.state), None, 0
@@ -312,9 +310,10 @@ def moved(task: Task, fitted: Fitted, motion: Motion | None = None) -> tuple[Tas
             if farthest < NEAR:
                 break
         own = now[0] if motion is None else with_terms(motion, now[0], now[0].layout.terms)
-        return own, over_all_sizes(own, fit(own, now[1]))
+        other = over_all_sizes(own, fit(own, now[1]))
     except np.linalg.LinAlgError:
         return task, fitted
+    return (own, other) if other.evidence > fitted.evidence else (task, fitted)
 
 
 def _step(task: Task, state: State) -> tuple[tuple[Task, State], float]:
