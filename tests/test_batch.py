@@ -10,6 +10,7 @@ import sqlite3
 import subprocess
 import sys
 import time
+from contextlib import closing
 
 import numpy as np
 import pandas as pd
@@ -59,7 +60,7 @@ def found(days, tmp_path_factory):
 
 def contents(path):
     """The rows of a store, without when and where."""
-    with sqlite3.connect(f"{path.as_uri()}?mode=ro", uri=True) as connection:
+    with closing(sqlite3.connect(f"{path.as_uri()}?mode=ro", uri=True)) as connection, connection:
         rows = connection.execute("SELECT path, sha256, status, answer FROM files ORDER BY path, options").fetchall()
     connection.close()
     return [(os.path.basename(path), *rest) for path, *rest in rows]
@@ -258,7 +259,7 @@ def test_options_that_are_wrong(days, tmp_path):
     with pytest.raises(InputError, match="no files are given"):
         bq.batch([], store=tmp_path / "a.db", **OPTIONS)
     other = tmp_path / "other.db"
-    with sqlite3.connect(other) as connection:
+    with closing(sqlite3.connect(other)) as connection, connection:
         connection.execute("CREATE TABLE t (a)")
     connection.close()
     with pytest.raises(FileFormatError, match="is not a store of batches"):

@@ -4,6 +4,7 @@ import csv
 import json
 import re
 import sqlite3
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -165,7 +166,7 @@ def test_what_was_done_before_a_stop_is_kept(tmp_path):
     store = tmp_path / "b.db"
     with pytest.raises(KeyboardInterrupt):
         cells.run_cells(store, "x", [("go", 2), ("stop", 3)], _square, records=3)
-    with sqlite3.connect(store) as file:
+    with closing(sqlite3.connect(store)) as file, file:
         assert file.execute("SELECT count(*) FROM results").fetchone() == (5,)
     asked = []
 

@@ -11,7 +11,7 @@ import sqlite3
 import subprocess
 import sys
 import time
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import replace
 
 import numpy as np
@@ -207,7 +207,7 @@ run_study(sys.argv[1], systems=["linear", "duffing"], algorithms=["rvm", "vb"], 
 
 def rows_in(path):
     try:
-        with sqlite3.connect(f"{path.as_uri()}?mode=ro", uri=True) as connection:
+        with closing(sqlite3.connect(f"{path.as_uri()}?mode=ro", uri=True)) as connection, connection:
             return connection.execute("SELECT count(*) FROM results").fetchone()[0]
     except sqlite3.Error:  # not there yet, or just being written
         return 0
@@ -245,7 +245,7 @@ def test_another_configuration_is_refused(small, tmp_path):
 def test_files_that_are_no_store_are_refused(tmp_path):
     text, other, empty = tmp_path / "run.csv", tmp_path / "other.db", tmp_path / "empty.db"
     text.write_text("t,x\n0,1\n" * 1000)
-    with sqlite3.connect(other) as connection:
+    with closing(sqlite3.connect(other)) as connection, connection:
         connection.execute("CREATE TABLE t (a)")
     connection.close()
     empty.touch()
@@ -283,7 +283,7 @@ def test_a_damaged_store_is_an_input_error(small, tmp_path, seed):
 def test_a_store_of_another_version_is_refused(small, tmp_path):
     path = tmp_path / "new.db"
     path.write_bytes(small.read_bytes())
-    with sqlite3.connect(path) as connection:
+    with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute("PRAGMA user_version = 9")
     connection.close()
     with pytest.raises(FileFormatError, match="another version"):
@@ -470,7 +470,7 @@ def test_claims_of_other_machines_count_until_they_end(tmp_path, monkeypatch):
     with Store(path, StudyConfig()) as store:
         ends = time.time() + 3.0
         keys = [("linear", 0, "vb"), ("linear", 1, "vb"), ("linear", 1, "rvm")]
-        with sqlite3.connect(path) as connection:
+        with closing(sqlite3.connect(path)) as connection, connection:
             claimed = [(*key, "elsewhere:1:a", ends) for key in keys]
             connection.executemany("INSERT INTO claims VALUES (?, ?, ?, ?, ?)", claimed)
         connection.close()
@@ -493,7 +493,7 @@ def test_claims_are_prolonged_and_given_back(tmp_path, monkeypatch):
     Store(path, StudyConfig()).close()
 
     def until():
-        with sqlite3.connect(path) as connection:
+        with closing(sqlite3.connect(path)) as connection, connection:
             found = connection.execute("SELECT until FROM claims").fetchall()
         connection.close()
         return [row[0] for row in found]
@@ -511,7 +511,7 @@ def test_claims_are_prolonged_and_given_back(tmp_path, monkeypatch):
 def test_stores_of_earlier_versions_go_on(small, tmp_path):
     path = tmp_path / "study.db"
     path.write_bytes(small.read_bytes())
-    with sqlite3.connect(path) as connection:
+    with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute("DROP TABLE claims")
     connection.close()
     assert study(path, realisations=7).realisations == 2

@@ -165,9 +165,8 @@ class Tortured:
         ["as it is"] * 6 + ["scaled", "zero", "offset", "copy", "near copy", "denormal", "signs", "spike"]
     )
 
-    @classmethod
-    @st.composite
     @staticmethod
+    @st.composite
     def record(draw: st.DrawFn) -> bq.Record:
         rows = draw(st.sampled_from([1, 2, 3, 19, 20, 41, 160]))
         rng = np.random.default_rng(draw(st.integers(0, 1000)))

@@ -220,10 +220,10 @@ class Outputs:
     report: Path | None
     refine: bool
     physical: bool
-    conditional: bool = False
-    explain: bool = False
+    conditional: bool
+    explain: bool
 
-    def check(self, files: Sequence[Path], options: Mapping[str, Any], as_json: bool = False) -> None:
+    def check(self, files: Sequence[Path], options: Mapping[str, Any], as_json: bool) -> None:
         """Refuse, before the work, what could not be done after it; `files` are the records that are read."""
         if self.explain and as_json:
             raise InputError("--explain explains the text, and --json prints none; leave one of them out")

@@ -37,8 +37,8 @@ def warn_of_sensors(motion: Motion, given: Set[str], log: WarningLog) -> None:
     computed = [name for name in given if name not in roles.channels]
     if computed:
         log.warn(
-            f"what was given of {some_of(sorted(computed), 30)} is not used: give that of the channel it was computed"
-            " from",
+            f"noise, gain or lag given of {some_of(sorted(computed), 30)} is not used: give those of the channel it was"
+            " computed from",
             DataWarning,
         )
     unused = [name for name in roles.measured if sensors.noisy(name)]

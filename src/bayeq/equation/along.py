@@ -40,7 +40,7 @@ def prepared(eq: Answer, records: Sequence[Record], divide: bool = False, level:
         found, more = divided_at_gaps(found, roles, eq.smooth)
         messages += more
     for message in dict.fromkeys(messages):
-        named = f"{records[0].name or 'record'}: {message}"  # as it is said of several records
+        named = f"{records[0].label}: {message}"  # as it is said of several records
         if message not in eq.warnings and (len(records) > 1 or named not in eq.warnings):
             warnings.warn(message, DataWarning, stacklevel=level)
     return found
@@ -52,7 +52,7 @@ def in_units_of(eq: Answer, record: Record) -> tuple[Record, list[str]]:
     record, notes, others = in_units(record, wanted)
     for name in others:
         raise InputError(
-            f"{record.name or 'record'}: {name} is in {record.units[name]}, in the equations in {wanted[name]}: give"
+            f"{record.label}: {name} is in {record.units[name]}, in the equations in {wanted[name]}: give"
             " its unit (--units), or name the channel that is meant (--channel)"
         )
     return record, notes

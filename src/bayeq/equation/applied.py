@@ -126,7 +126,7 @@ class Prediction:
 
 def as_equations_have_them(equations: Equations, record: Record) -> tuple[Record, list[str]]:
     """A record in the units and time of the equations, and what was converted or taken; InputError if it cannot be."""
-    where = record.name or "record"
+    where = record.label
     moving = bool(equations.states) and not equations.roles.discrete
     if moving and counts_rows(record) and not equations.data.rows_as_time:
         raise InputError(
@@ -162,7 +162,7 @@ def apply_to(equations: Equations, records: Sequence[Record], draws: int = 200, 
     fitting, converted = zip(*(as_equations_have_them(equations, record) for record in records), strict=True)
     pieces = [piece for piece in along.prepared(equations, fitting, divide=True) if piece.n >= LEAST_ROWS]
     if not pieces:
-        raise InputError(f"{records[0].name or 'record'}: too few rows to predict; give two or more")
+        raise InputError(f"{records[0].label}: too few rows to predict; give two or more")
     notes = [*chain.from_iterable(converted), *_out_of_range(equations, pieces)]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataWarning)  # what was left out has been said

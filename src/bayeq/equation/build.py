@@ -45,14 +45,10 @@ from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.channels import Suspect
 from bayeq.numerics.settings import EQUATION
 from bayeq.records.names import in_si, parse_unit
-from bayeq.regression.fit import RegressionFit
+from bayeq.regression.fit import CONTRADICTED, RegressionFit
 from bayeq.regression.regression import RecordRegression, Regression, changes_by_noise, inputs_of_hidden_noise
 from bayeq.states import Motion
 from bayeq.states.sensors import of_no_unit
-
-# The record contradicts what is stated of a coefficient if it moves it by more of the stated standard deviations, and
-# a bound if the coefficient would be further beyond without it, in its own ones.
-CONTRADICTED = 3.0
 
 # Of a smaller share of the precision of a coefficient that is stated rounding leaves nothing of what the record adds.
 TOLD = 1e-8
@@ -253,7 +249,7 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
         name, below, factor = odd
         reason = f"{name} is {factor:.3g} times what {below} gives, and no unit differs by that"
         verdict = Verdict("nearly true", reason, f"check calibration and filters of {name}")
-    beyond = selection.fit.beyond_bounds(CONTRADICTED)
+    beyond = selection.fit.beyond_bounds
     refused = [_beyond(name, *one) for name, one in beyond.items()]
     refused += [text for text, _ in _against_stated(equation, selection)]
     if refused and verdict.kind != "none":
@@ -349,7 +345,7 @@ def warnings_of(equation: Equation, selection: Selection) -> Said:
     if force is not None:
         against = f"{force} acts against {equation.chain.names[0]}"
         yield f"{against}: reverse it, if a force (--scale {force}=-1)", DataWarning
-    beyond = selection.fit.beyond_bounds(CONTRADICTED)
+    beyond = selection.fit.beyond_bounds
     contradicted = [name for name in details.contradicted if name not in beyond]
     if contradicted:
         what = "sign" if selection.fit.constraints.bounds is None else "sign or bound"

@@ -60,7 +60,7 @@ class RunnerUp:
         return f"without {self.leaves}" if self.leaves else f"with {self.enters} added"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Equation:
     """One equation: target = intercept + sum of coefficient x term.
 
@@ -134,16 +134,16 @@ class Equation:
     residuals: Residuals
     verdict: Verdict
     runners_up: tuple[RunnerUp, ...] = ()
-    fit: RegressionFit | None = field(default=None, repr=False, compare=False)
+    fit: RegressionFit | None = field(default=None, repr=False)
     share: Floats | None = None
     why: Mapping[str, str] = field(default_factory=dict)
     left_out: tuple[LeftOut, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict)
     unit_gains: tuple[float, ...] = ()
-    scored: Equation | None = field(default=None, repr=False, compare=False)
+    scored: Equation | None = field(default=None, repr=False)
     models: tuple[CandidateModel, ...] = ()
-    shown_fit: RegressionFit | None = field(default=None, repr=False, compare=False)
-    stored: OverModels | None = field(default=None, repr=False, compare=False)
+    shown_fit: RegressionFit | None = field(default=None, repr=False)
+    stored: OverModels | None = field(default=None, repr=False)
     error_probability: float | None = None
     tau: float = 0.0
     bound: Floats | None = None

@@ -21,7 +21,7 @@ from bayeq.regression.fit import RegressionFit, mixture_of
 SIMPLER = ("max_terms", "tolerance")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False, slots=True)
 class OverModels:
     """Intervals that know of other models than the one included or shown."""
 

@@ -18,7 +18,7 @@ from bayeq.errors import ConvergenceWarning, InputError
 from bayeq.figures.style import BLACK, BLUE, ORANGE, PALE, RED, log_ticks, new_panels, picture, term_label
 from bayeq.inference.bma import average_models
 from bayeq.inference.collapsed.problem import Problem
-from bayeq.inference.engines import ENGINES
+from bayeq.inference.engines import ENGINES, spike_slab_methods
 from bayeq.inference.gram import Gram, GramLike
 from bayeq.inference.prior import Prior
 from bayeq.numerics.settings import INFERENCE
@@ -204,7 +204,7 @@ def _changes(curves: Sequence[PipCurve]) -> pd.DataFrame:
 def require_spike_slab(method: str) -> None:
     """Check that a method has a v_s and a p_0; the InputError says which methods have."""
     if not ENGINES[method].spike_slab:
-        known = ", ".join(name for name, engine in ENGINES.items() if engine.spike_slab)
+        known = ", ".join(spike_slab_methods())
         raise InputError(f"method {method!r} has no v_s and p_0 to vary; take one of: {known}")
 
 

@@ -39,7 +39,7 @@ def _whole_run(eq: style.Answer, record: Record, channel: str | None, what: str)
     name = style.channel_of(run, channel)
     if run.blew_up_at is not None:
         raise InputError(f"the free run blew up at {run.blew_up_at:.6g} s: it has no {what}")
-    where = record.name or "record"
+    where = record.label
     if len(run.time) < LEAST_ROWS:
         raise InputError(f"{where}: a spectrum needs {LEAST_ROWS} rows or more, there are {len(run.time)}")
     steps = np.diff(run.time)

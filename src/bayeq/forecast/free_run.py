@@ -204,7 +204,7 @@ def _beginning(
         for name in needed:
             if name not in columns or not np.isfinite(columns[name][row]):
                 raise InputError(
-                    f"{record.name or 'record'}: the initial {name!r} is not measured: give"
+                    f"{record.label}: the initial {name!r} is not measured: give"
                     f" initial={{{', '.join(f'{n!r}: ...' for n in needed)}}}"
                 )
     start = np.array([given.get(name, columns[name][row] if name in columns else 0.0) for name in dynamics.states])

@@ -69,3 +69,8 @@ _OWN = {
     ),
 }
 ENGINES = Table("engines", Engine, _OWN)
+
+
+def spike_slab_methods() -> list[str]:
+    """Names of the engines with the spike-and-slab prior, those of plug-ins among them."""
+    return [name for name, engine in ENGINES.items() if engine.spike_slab]

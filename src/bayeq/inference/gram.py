@@ -59,7 +59,7 @@ def dense(gram: GramLike) -> Floats:
     return np.stack([gram.column(j) for j in range(len(gram.names))])
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False, slots=True)
 class Gram:
     """Centred sufficient statistics of y = b0 + D theta + noise.
 
@@ -290,7 +290,7 @@ class Gram:
         return Moments(self.n, np.append(self.mean, self.target_mean), cross)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False, slots=True)
 class Standardised:
     """A standardised Gram (or `LazyGram`) and the way back to the original units."""
 
@@ -311,7 +311,7 @@ class Standardised:
         )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False, slots=True)
 class Moments:
     """Count, means and centred co-moments of the columns [D Y]."""
 
@@ -454,7 +454,7 @@ def checked_weights(weights: ArrayLike, rows: int) -> Floats:
 LEAST_COLUMNS = 500
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False, slots=True)
 class LazyGram:
     """Centred data that answer as a `Gram` does."""
 

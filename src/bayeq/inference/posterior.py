@@ -38,7 +38,7 @@ MOVED = {
 SMALLEST, LARGEST = 1e-150, 1e150
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False, slots=True)
 class Draws:
     """Samples of the posterior by Markov chains, burn-in left out.
 
@@ -63,7 +63,7 @@ class Draws:
     pip: Floats
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False, slots=True)
 class ModelAverage:
     """The posterior over models.
 
@@ -140,7 +140,7 @@ class ModelAverage:
         return out
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False, slots=True)
 class Averaged:
     """Coefficients over all models, 0 in those without their term.
 
@@ -157,7 +157,7 @@ class Averaged:
     draws: Draws | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False, slots=True)
 class Constant:
     """What the intercept follows from.
 
@@ -180,7 +180,7 @@ class Constant:
     left_out: tuple[float, float] | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False, slots=True)
 class Projected:
     """What the likelihood of the record said before the posterior became its projection.
 
@@ -207,7 +207,7 @@ class Projected:
     error_lines: tuple[float, ...]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False, slots=True)
 class Details:
     """How an engine came to its posterior.
 
@@ -252,7 +252,7 @@ class Details:
         return float(self.elbo_trace[-1]) if len(self.elbo_trace) else None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False, slots=True)
 class Posterior:
     """Posterior of a sparse linear regression, conditional on the selected terms.
 
@@ -492,7 +492,7 @@ def _quantiles(weight: Floats, mean: Floats, sd: Floats, probability: Floats) ->
     return out
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False, slots=True)
 class Mixture:
     """The posterior of each of P coefficients over models: 0, or if its term is in, a mixture of K normal ones.
 

@@ -117,8 +117,8 @@ def stlsq(
     """
     del prior
     whole_number("max_iter", max_iter, 1)
-    if not (threshold >= 0 and ridge >= 0 and max_iter >= 1):
-        raise InputError("need threshold >= 0, ridge >= 0 and max_iter >= 1")
+    if not (threshold >= 0 and ridge >= 0):
+        raise InputError("need threshold >= 0 and ridge >= 0")
     K, c = _moments(gram, centred)
     coef = np.empty(len(c))
     steps = _threshold(K, c, threshold, ridge, max_iter, coef)

@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 
 from bayeq.inspection.links import CLEARLY, Link
-from bayeq.records.names import in_si, parse_unit
+from bayeq.records.names import FORCES, in_si, parse_unit
 
 # What a channel is: the derivative of its coordinate, 0 to 2, or an input, a reference, a state of first order.
 INPUT, REFERENCE, STATE = -1, -2, -3
 TITLES = {0: "displacement", 1: "velocity", 2: "acceleration", INPUT: "force or input"}
 
-FORCES = {"N", "kN", "mN", "MN", "daN", "lbf", "kgf", "Nm", "kNm", "mNm"}
+LOADS = {*FORCES, "Nm", "kNm", "mNm"}
 ANGLES = {"rad", "mrad", "deg", "°", "rev", "rpm"}
 DEGREES = {"deg", "°"}
 WARMTH = {"°C", "K", "degC", "°F", "degF"}
@@ -201,7 +201,7 @@ def clue_of(name: str, unit: str) -> Clue:
 
 def _order_of_unit(unit: str) -> int | None:
     powers = parse_unit(unit)
-    if any(symbol in FORCES for symbol in powers):
+    if any(symbol in LOADS for symbol in powers):
         return INPUT if len(powers) == 1 or set(powers) <= {"N", "m", "mm"} else None
     if unit in WARMTH:
         return STATE

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from bayeq.arrays import Floats
 from bayeq.inspection.roles import Guess
 from bayeq.records import Record
+from bayeq.records.columns import STEP_NAMES
 from bayeq.records.findings import clipped_levels, equal_runs
 from bayeq.records.names import is_time_name, time_unit
 from bayeq.records.repair import GAP, LONG_GAP
@@ -31,7 +32,7 @@ COUNTED = (
     "day week month quarter hour minute tag tage woche wochen monat monate quartal jahre stunde stunden minuten jour"
     " semaine mois heure annee année an dia día semana mes hora año ano giorno settimana mese ora anno"
 )
-STEP_NAMES = ("ts", "dt", "delta_t", "sampling_time", "sample_time", "time_step")
+STEPS_NAMED = frozenset(map(str.casefold, STEP_NAMES))
 TRIAL_WORDS = ("trial", "run", "experiment", "exp", "test", "group", "segment", "versuch", "messung", "essai", "set")
 
 # An experiment has at least this many rows: what changes more often is a signal.
@@ -104,7 +105,7 @@ def sort_rows(record: Record, time: str | None = None) -> Experiments:
 def _is_step(record: Record, name: str) -> bool:
     """Whether a column is named as the time step and holds one number, in every row or in the first alone."""
     known = record[name][np.isfinite(record[name])]
-    named = name.casefold() in STEP_NAMES and record.units.get(name, "s") == "s"
+    named = name.casefold() in STEPS_NAMED and record.units.get(name, "s") == "s"
     return named and len(known) > 0 and bool(known[0] > 0.0 and (known == known[0]).all())
 
 

@@ -147,12 +147,12 @@ def _add_product(factor: float, A: Floats, k: int, lines: Floats, source: int, t
 
 
 @kernel(borrowing=True)
-def _by_information(work: Floats, now: int, start: int, lines: Floats, source: int, target: int) -> None:
-    """N times a line, into another one."""
+def _by_information(work: Floats, now: int, start: int, lines: Floats) -> None:
+    """N times ``lines[1]``, into ``lines[2]``."""
     for i in range(work.shape[1]):
-        lines[target, i] = 0.0
+        lines[2, i] = 0.0
         for o in range(work.shape[1]):
-            lines[target, i] += work[now, i, start + o] * lines[source, o]
+            lines[2, i] += work[now, i, start + o] * lines[1, o]
 
 
 @kernel(borrowing=True)
@@ -161,7 +161,7 @@ def _curve_between(
 ) -> None:
     """Puts (1 + A) P N w, of maps 2 P N w, into ``lines[2]``, w in ``lines[1]``: -2 times `Adjoint.between`."""
     size = work.shape[1]
-    _by_information(work, now, start, lines, 1, 2)
+    _by_information(work, now, start, lines)
     for i in range(size):
         lines[1, i] = 0.0
     _add_product(1.0, P, k, lines, 2, 1)
@@ -177,7 +177,7 @@ def _curve_at(P: Floats, k: int, work: Floats, now: int, start: int, lines: Floa
     for i in range(work.shape[1]):
         lines[1, i] = 0.0
     _add_product(1.0, P, k, lines, 2, 1)
-    _by_information(work, now, start, lines, 1, 2)
+    _by_information(work, now, start, lines)
     _add_product(-1.0, P, k, lines, 2, 1)
 
 

@@ -82,7 +82,7 @@ def block_of(task: Task, state: State, pieces: Sequence[MotionRows]) -> Block:
         return nothing
     try:
         series, paths = series_and_paths(task.layout, pieces)
-        own, here = replace(task, series=series, recent=[]), replace(state, paths=paths, blurs=())
+        own, here = replace(task, series=series), replace(state, paths=paths, blurs=())
         here, linears, adjoints = at_its_path(own, here)
         found, score = statistics(own, here, linears, adjoints)
         parts = [_batches(own, here, k, *pair) for k, pair in enumerate(zip(linears, adjoints, strict=True))]
@@ -195,7 +195,7 @@ def _slopes(task: Task, state: State) -> tuple[Floats, Floats, Floats]:
     by_candidates, by_levels = np.zeros(len(theta)), np.zeros(len(state.levels.free))
     H = np.diag(task.precision[included])
     for k, (one, path) in enumerate(zip(task.series, state.paths, strict=True)):
-        own, here = replace(task, series=(one,), recent=[]), replace(state, paths=(path,), blurs=state.blurs[k : k + 1])
+        own, here = replace(task, series=(one,)), replace(state, paths=(path,), blurs=state.blurs[k : k + 1])
         linears = own.linearised(here)
         # slopes by coefficients are those along the path that these levels make likeliest
         here = replace(here, paths=(path + adjoints_of(here, linears)[0].deviation,))

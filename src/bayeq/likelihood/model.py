@@ -86,7 +86,12 @@ class Task:
     # covariance of coefficients between likely courses of inputs, (C (P + 1),) squared; 0 of none
     between: Floats | float = 0.0
     # the last two linearisations and what they are of: fits go on from where others have stood
-    recent: list[tuple[tuple[object, ...], list[Linear]]] = field(default_factory=list, repr=False)
+    recent: list[tuple[tuple[object, ...], list[Linear]]] = field(default_factory=list, init=False, repr=False)
+
+    @cached_property
+    def allowed(self) -> Bools:
+        """Candidate terms that each equation may have, (C, P)."""
+        return np.asarray(self.log_odds.reshape(self.layout.chains, -1)[:, :-1] > -np.inf)
 
     def linearised(self, state: State) -> list[Linear]:
         """Every record linearised where a fit stands."""

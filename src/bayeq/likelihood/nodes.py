@@ -115,7 +115,7 @@ def on_gram(task: Task, fitted: Fitted, family: Sequence[int], values: Sequence[
         at = (np.arange(C)[:, None] * wide + column).ravel()
         known = odds[at].reshape(C, -1)
         known[:, P + 1 :] = np.where(known[:, P + 1 :] > -np.inf, np.inf, -np.inf)
-        own = replace(task, precision=precision[at], log_odds=known.ravel(), recent=[])
+        own = replace(task, precision=precision[at], log_odds=known.ravel())
         try:
             problem = own.problem(Quadratic(q.level, q.slope[at], q.information[np.ix_(at, at)]))
         except np.linalg.LinAlgError:
@@ -168,7 +168,7 @@ def extended(task: Task, state: State, others: Sequence[Expression]) -> tuple[Ta
     layout = replace(layout, terms=(*layout.terms, *others), stated=tuple(stated))
     precision = np.zeros((layout.chains, width))
     precision[:, column] = task.precision.reshape(layout.chains, -1)
-    own = replace(task, layout=layout, precision=precision.ravel(), log_odds=np.zeros(precision.size), recent=[])
+    own = replace(task, layout=layout, precision=precision.ravel(), log_odds=np.zeros(precision.size))
     state = fresh(state, layout)
     return own, replace(state, chosen=state.chosen._replace(term=column[state.chosen.term]))
 
@@ -201,7 +201,7 @@ def bounded(constant: Unknown, place: float) -> float:
 
 def by_rows(task: Task, motion: Motion, family: Sequence[int]) -> list[dict[str, float]]:
     """Values of a family's constants that explain most of the smoothed rows, beside the other terms and alone."""
-    terms, allowed = task.layout.terms, allowed_in(task)
+    terms, allowed = task.layout.terms, task.allowed
     beside, alone = (ranked(terms, motion, allowed, family, others)[0][:TRIED] for others in (True, False))
     return beside + [one for one in alone if one not in beside]
 
@@ -267,7 +267,7 @@ def with_terms(motion: Motion, task: Task, terms: tuple[Expression, ...]) -> Tas
     layout = replace(task.layout, terms=terms)
     former = precision_of_terms(motion, task.layout)
     wider = float(np.median(task.precision / former))
-    return replace(task, layout=layout, precision=wider * precision_of_terms(motion, layout), recent=[])
+    return replace(task, layout=layout, precision=wider * precision_of_terms(motion, layout))
 
 
 def choices_of(terms: Sequence[Expression]) -> dict[str, list[int]]:
@@ -277,7 +277,3 @@ def choices_of(terms: Sequence[Expression]) -> dict[str, list[int]]:
         if term.choice:
             out.setdefault(term.choice, []).append(j)
     return {choice: members for choice, members in out.items() if len(members) > 1}
-
-
-def allowed_in(task: Task) -> Bools:
-    return np.asarray(task.log_odds.reshape(task.layout.chains, -1)[:, :-1] > -np.inf)

@@ -223,7 +223,7 @@ class RecordFit:
         share, state = 1.0 if self.flat else LIKELIHOOD.unshrunk, self.fitted.state
         if not self.own:  # the state is that of another model
             state = with_model(self.task, self.fitted, self.fitted.model)
-        task = replace(self.task, precision=share * self.task.precision, recent=[])
+        task = replace(self.task, precision=share * self.task.precision)
         included, q = np.flatnonzero(self.fitted.model), self.fitted.quadratic
         precision = task.precision[included]
         with np.errstate(all="ignore"):
@@ -246,7 +246,7 @@ class RecordFit:
 
     @property
     def _hardly_shrunk(self) -> Task:
-        return replace(self.task, precision=LIKELIHOOD.unshrunk * self.task.precision, recent=[])
+        return replace(self.task, precision=LIKELIHOOD.unshrunk * self.task.precision)
 
     def learned(self, sensors: Sensors) -> Sensors:
         """What is known of sensors, with lags and factors, what of them was taken out of the samples included."""
@@ -317,7 +317,7 @@ class RecordFit:
         motion = with_laws_of(motion, layout.terms, self.fitted.state)
         with np.errstate(all="ignore"):
             series, paths = series_and_paths(layout, motion.records)
-            own = replace(self.task, series=series, recent=[])
+            own = replace(self.task, series=series)
             try:
                 state, _, smoothed = at_its_path(own, replace(self.fitted.state, paths=paths, blurs=()))
             except np.linalg.LinAlgError:  # rows held out that the motion does not stay near

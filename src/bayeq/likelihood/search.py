@@ -58,7 +58,7 @@ WIDER, CLEARLY = (10.0, 100.0), 3.0
 
 def widened(task: Task, fitted: Fitted) -> Task:
     """The task with a wider prior of the coefficients, which terms that cancel need, if it is clearly likelier."""
-    tasks = [task, *(replace(task, precision=task.precision / factor, recent=[]) for factor in WIDER)]
+    tasks = [task, *(replace(task, precision=task.precision / factor) for factor in WIDER)]
     values = [best_models(one.problem(fitted.quadratic))[0][0] for one in tasks]
     return tasks[int(np.argmax(np.array(values) - CLEARLY * (np.arange(len(tasks)) > 0)))]
 
@@ -152,7 +152,7 @@ def from_the_simplest(task: Task, empty: State) -> State | None:
         if simple.all():
             break
         log_odds = np.where(np.tile(simple, task.layout.chains), task.log_odds, -np.inf)
-        _, found = on_the_way(replace(task, log_odds=log_odds, recent=[]), empty if state is None else state)
+        _, found = on_the_way(replace(task, log_odds=log_odds), empty if state is None else state)
         state = found.state
         if state.levels.kappa.max() < LIKELIHOOD.adequate:
             break

@@ -170,17 +170,16 @@ def start_of_runs(motion: Motion, terms: Sequence[Expression], course: Course) -
 def _by_rows(task: Task, empty: State, grams: Sequence[Gram], most: float = math.inf) -> State:
     """The likeliest model of each equation, of `most` terms, as a regression of the smoothed rows; of a map with its
     constant, without which samples far from zero are explained by noise."""
-    allowed = task.log_odds.reshape(task.layout.chains, -1)[:, :-1] > -np.inf
     chains, terms, theta, left = [], [], [], []
     for c, gram in enumerate(grams):
-        model, coef = likeliest_by_rows(gram, allowed[c], most)
+        model, coef = likeliest_by_rows(gram, task.allowed[c], most)
         index = np.flatnonzero(model)
         chains += [c] * len(index)
         terms += index.tolist()
         theta += coef[model].tolist()
         if empty.levels.layout.discrete:
             chains.append(c)
-            terms.append(allowed.shape[1])
+            terms.append(task.allowed.shape[1])
             theta.append(float(gram.target_mean - gram.mean @ coef))
         left.append(min(gram.squared_error(coef) / gram.yty, 1.0) if gram.yty > 0.0 else 1.0)
     chosen = Candidates(np.array(chains, dtype=np.int64), np.array(terms, dtype=np.int64))
@@ -251,7 +250,7 @@ def _with_others(motion: Motion, task: Task, state: State, inputs: Sequence[_Inp
     slope = np.array([one.slope for one in inputs])
     courses = np.full(len(inputs), LIKELIHOOD.first_course)
     levels = replace(levels, layout=layout, scales=scales, channels=noise, slope=slope, courses=courses, hessian=None)
-    return replace(task, layout=layout, series=series, recent=[]), replace(state, paths=paths, blurs=(), levels=levels)
+    return replace(task, layout=layout, series=series), replace(state, paths=paths, blurs=(), levels=levels)
 
 
 def carried_over(motion: Motion, task: Task, fitted: Fitted, places: Sequence[tuple[int, int]]) -> tuple[Task, State]:
@@ -383,7 +382,7 @@ def with_spectra(task: Task, state: State, spectra: Sequence[Spectrum]) -> tuple
         slope.append(change * levels.slope[k])
     layout = replace(old, corners=tuple(corners))
     levels = replace(levels, layout=layout, slope=np.array(slope))
-    return replace(task, layout=layout, recent=[]), replace(state, levels=levels)
+    return replace(task, layout=layout), replace(state, levels=levels)
 
 
 def _alone(name: str, pieces: Sequence[MotionRows], smoothness: int, known: float | None) -> tuple[float, Task, State]:

@@ -49,7 +49,6 @@ from bayeq.likelihood.model import (
 from bayeq.likelihood.nodes import (
     TRIED,
     GridNode,
-    allowed_in,
     bounded,
     by_rows,
     choices_of,
@@ -97,7 +96,7 @@ def with_constants(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fi
     task, fitted = settled(motion, task, finished(task, fitted))
     forms: dict[str, dict[str, float]] = {}
     for choice, members in choices.items():
-        active = next((j for j in members if allowed_in(task)[:, j].any()), members[0])
+        active = next((j for j in members if task.allowed[:, j].any()), members[0])
         first, found = (task, fitted), dict[str, float]()
         for j in (active, *(j for j in members if j != active)):
             try:
@@ -161,12 +160,12 @@ def _beside_a_series(
     best = min(close, key=lambda k: (fits[k][1].model.sum(), -scores[k])) if told else close[0]
     likely = {forms[k]: scores[k] for k in sorted(close, key=lambda k: scores[k])}
     found, fitted = fits[best]
-    return replace(found, log_odds=task.log_odds, recent=[]), fitted, likely if told and len(likely) > 1 else {}
+    return replace(found, log_odds=task.log_odds), fitted, likely if told and len(likely) > 1 else {}
 
 
 def _alone(motion: Motion, task: Task, fitted: Fitted, family: Sequence[int]) -> tuple[Task, Fitted]:
     """A fit of a task with the values of a family's constants that explain most beside its other candidates."""
-    values, _ = ranked(task.layout.terms, motion, allowed_in(task), family)
+    values, _ = ranked(task.layout.terms, motion, task.allowed, family)
     nodes = on_gram(task, fitted, family, values[:TRIED])
     return moved(*settle(*start_at(motion, task, fitted, max(nodes, key=lambda one: one.score))), motion)
 
@@ -175,7 +174,7 @@ def _without(task: Task, terms: Sequence[int]) -> Task:
     """The task without some of its candidates."""
     odds = task.log_odds.reshape(task.layout.chains, -1).copy()
     odds[:, list(terms)] = -np.inf
-    return replace(task, log_odds=odds.ravel(), recent=[])
+    return replace(task, log_odds=odds.ravel())
 
 
 def _listed(task: Task, fitted: Fitted, some: Sequence[int]) -> str:
@@ -230,7 +229,7 @@ def _instead(motion: Motion, task: Task, fitted: Fitted, active: int, j: int) ->
     """A fit with another member of an either-or in place of the active one."""
     odds = task.log_odds.reshape(task.layout.chains, -1).copy()
     odds[:, j], odds[:, active] = odds[:, active], -np.inf
-    task = replace(task, log_odds=odds.ravel(), recent=[])
+    task = replace(task, log_odds=odds.ravel())
     family = next((own for own in families(task.layout.terms) if j in own), [j])
     tried = on_gram(task, fitted, family, by_rows(task, motion, family))
     return settle(*start_at(motion, task, fitted, max(tried, key=lambda one: one.score)))
@@ -337,7 +336,7 @@ def _step(task: Task, state: State) -> tuple[tuple[Task, State], float]:
 
 def _at_values(task: Task, state: State, values: Mapping[str, float]) -> tuple[Task, State]:
     """The task and a state for other values of the constants; priors stay."""
-    task = replace(task, layout=replace(task.layout, terms=with_values(task.layout.terms, values)), recent=[])
+    task = replace(task, layout=replace(task.layout, terms=with_values(task.layout.terms, values)))
     return task, fresh(state, task.layout)
 
 
@@ -405,7 +404,7 @@ def _lost(task: Task, fitted: Fitted) -> dict[str, float]:
 
 def _sought(task: Task) -> list[list[int]]:
     """Families that some equation may have, but those of laws of hidden states, which were found along the record."""
-    allowed, stated = allowed_in(task), [chain.stated for chain in task.layout.roles.chains]
+    allowed, stated = task.allowed, [chain.stated for chain in task.layout.roles.chains]
     return [
         own for own in families(task.layout.terms) if allowed[:, own].any() and not allowed[np.ix_(stated, own)].any()
     ]

@@ -132,7 +132,7 @@ class Headers:
 Select = Callable[[Headers], Sequence[int]]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False, slots=True)
 class Columns:
     """Columns of a file, in order."""
 

@@ -173,7 +173,9 @@ SIZES: Mapping[str, tuple[float, int, int]] = {
 }  # fmt: skip
 
 #: Units of force in newtons.
-FORCES: Mapping[str, float] = {"N": 1.0, "kN": 1e3, "MN": 1e6, "mN": 1e-3, "uN": 1e-6, "lbf": 4.4482216152605}
+FORCES: Mapping[str, float] = {
+    "N": 1.0, "kN": 1e3, "MN": 1e6, "mN": 1e-3, "uN": 1e-6, "daN": 10.0, "kgf": 9.80665, "lbf": 4.4482216152605,
+}  # fmt: skip
 
 # Symbols that measurements are labelled with: these, and those of `SIZES`. Of the first with the usual prefixes.
 _WITH_PREFIXES = "m s N Nm Pa V A W J C T F Hz ohm Ohm Ω rad strain bar"

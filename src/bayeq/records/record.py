@@ -148,7 +148,7 @@ class Record:
 
     def __post_init__(self) -> None:
         require_kind(self.name, str, "the name of a record", "text")
-        where = self.name or "record"
+        where = self.label
         require_kind(self.channels, Mapping, f"{where}: channels", "a mapping such as {'x': [...]}")
         if not self.channels:
             raise RecordError(f"{where}: no channels")
@@ -254,6 +254,11 @@ class Record:
         request = Request(columns, time=time, fs=fs)
         return cls(**assemble(Columns.from_dataframe(df, request), request, units)[0])
 
+    @property
+    def label(self) -> str:
+        """The name, in messages; "record" where there is none."""
+        return self.name or "record"
+
     def to_columns(self) -> Columns:
         """The columns by which the record is written: time first, then the channels."""
         names, values = list(self.channels), list(self.channels.values())
@@ -261,7 +266,7 @@ class Record:
         if self.time is not None:
             name = next((name for name in ("t", "time", "Time", "timestamp") if name not in self.channels), None)
             if name is None:
-                raise RecordError(f"{self.name or 'record'}: no name is left for time; rename the channel 't'")
+                raise RecordError(f"{self.label}: no name is left for time; rename the channel 't'")
             names, values = [name, *names], [self.time, *values]
             units = [self.units.get("t") if name == "t" else None, *units]
         return Columns(Headers(names, names, units, self.name), values)
@@ -368,7 +373,7 @@ class Record:
             kept = replace(self, channels=channels, units=units)
         else:
             labels = group(self) if callable(group) else group
-        starts = validate.trial_starts(labels, self.n, self.name or "record")
+        starts = validate.trial_starts(labels, self.n, self.label)
         trials = [kept.slice(a, b) for a, b in zip(starts, [*starts[1:], self.n], strict=True)]
         return [r.renamed(f"{self.name} [trial {i}]".strip()) for i, r in enumerate(trials)]
 
@@ -416,7 +421,7 @@ class Record:
             bad = np.flatnonzero(~np.isfinite(self[name]))
             if bad.size:
                 raise RecordError(
-                    f"{self.name or 'record'}: channel {name!r} has {bad.size} NaN or infinite sample"
+                    f"{self.label}: channel {name!r} has {bad.size} NaN or infinite sample"
                     f"{'s' * (bad.size > 1)} of {self.n}, first in row {bad[0] + 1}; leave these rows out or "
                     "interpolate them"
                 )

@@ -59,7 +59,7 @@ def split_at_gaps(records: Sequence[Record], channels: Sequence[str]) -> tuple[l
         if not ends or not used:
             out.append(record)
             continue
-        where = f"{record.name or 'record'}: " if len(records) > 1 else ""
+        where = f"{record.label}: " if len(records) > 1 else ""
         gaps = f"{where}gaps longer than {limit}, first after row {ends[0]}:"
         left_out = record.n - sum(piece.n for piece in used)
         assert record.time is not None
@@ -194,7 +194,7 @@ def correct_delay(record: Record, channel: str, seconds: float) -> Record:
     (998, True)
     """
     seconds = _number("a delay", seconds)
-    where = record.name or "record"
+    where = record.label
     values = record[channel]
     record.require_finite(channel)
     if record.time is None or record.n < 2 or not record.is_uniform():
@@ -261,7 +261,7 @@ def remove_offset(record: Record, channel: str, offset: float | None = None, dri
     values = record[channel] - offset
     if drift:
         if record.time is None:
-            raise RecordError(f"{record.name or 'record'}: a drift is per second, and the record has no time")
+            raise RecordError(f"{record.label}: a drift is per second, and the record has no time")
         values = values - drift * (record.time - 0.5 * (record.time[0] + record.time[-1]))
     return with_samples(record, {channel: values})
 
@@ -312,14 +312,14 @@ def join(first: Record, *others: Record) -> Record:
     start, stop = max(t[0] for t in times), min(t[-1] for t in times)
     rows = (times[0] >= start) & (times[0] <= stop)
     if rows.sum() < 2:
-        spans = "; ".join(f"{_label(r)} {t[0]:g} to {t[-1]:g} s" for r, t in zip((first, *others), times, strict=True))
+        spans = "; ".join(f"{r.label} {t[0]:g} to {t[-1]:g} s" for r, t in zip((first, *others), times, strict=True))
         raise RecordError(f"records without time in common: {spans}")
     joined = first.take(rows)
     for other in others:
         twice = [name for name in other.names if name in joined]
         if twice:
             raise RecordError(
-                f"{_label(other)}: a channel {twice[0]!r} is in another record too; rename or leave out one"
+                f"{other.label}: a channel {twice[0]!r} is in another record too; rename or leave out one"
             )
         _check_rates(first, other)
         channels = {name: _at(times[0][rows], other, name) for name in other.names}
@@ -337,14 +337,14 @@ def _by_clock_of(first: Record, other: Record) -> Record:
 
 
 def _label(record: Record) -> str:
-    return record.name or "record"
+    return record.label
 
 
 def _time(record: Record) -> Floats:
     require_kind(record, Record, "each of what is joined", "a Record")
     if record.time is None or record.n < 4:
         what = "has no time" if record.time is None else f"has {record.n} rows, too few for a spline"
-        raise RecordError(f"{_label(record)} {what}; it cannot be joined")
+        raise RecordError(f"{record.label} {what}; it cannot be joined")
     return record.time
 
 
@@ -353,7 +353,7 @@ def _check_rates(first: Record, other: Record) -> None:
     slow, fast = first.dt or 1.0, other.dt or 1.0
     if fast > (1 + SAME_RATE) * slow:
         raise RecordError(
-            f"{_label(other)} is sampled at {1 / fast:g} Hz, more slowly than {_label(first)} at {1 / slow:g} Hz; put"
+            f"{other.label} is sampled at {1 / fast:g} Hz, more slowly than {first.label} at {1 / slow:g} Hz; put"
             " the slowest first, whose time is kept"
         )
     if fast > (1 - SAME_RATE) * slow:
@@ -362,8 +362,8 @@ def _check_rates(first: Record, other: Record) -> None:
         share = _share_above(other, name, 0.5 / slow)
         if share > ALIASED:
             raise RecordError(
-                f"{_label(other)}: {in_digits(100 * share)} % of the variance of {name!r} is above {0.5 / slow:g} Hz,"
-                f" half the rate of {_label(first)}, and would alias; low-pass it first"
+                f"{other.label}: {in_digits(100 * share)} % of the variance of {name!r} is above {0.5 / slow:g} Hz,"
+                f" half the rate of {first.label}, and would alias; low-pass it first"
             )
 
 

@@ -39,6 +39,10 @@ from bayeq.regression.design import Design
 from bayeq.regression.regression import RecordRegression, Regression, calibrated
 from bayeq.states import Sensors
 
+# The record contradicts what is stated of a coefficient if it moves it by more of the stated standard deviations, and
+# a bound if the coefficient would be further beyond without it, in its own ones.
+CONTRADICTED = 3.0
+
 
 @dataclass(frozen=True, eq=False)
 class RegressionFit:
@@ -87,9 +91,10 @@ class RegressionFit:
         found = calibrated(self.regression, found, basis)
         return replace(found, details=replace(found.details, bounds=self.constraints.bounds))
 
-    def beyond_bounds(self, most: float) -> dict[str, tuple[float, float, float]]:
-        """Terms beyond bounds by more than `most` standard deviations without these: bound, coefficient, and by how
-        many.
+    @cached_property
+    def beyond_bounds(self) -> dict[str, tuple[float, float, float]]:
+        """Terms beyond bounds by more than CONTRADICTED standard deviations without these: bound, coefficient, and by
+        how many.
 
         Coefficients are those beside the included terms, or, of a bound that is contradicted, beside the likeliest
         model.
@@ -106,7 +111,7 @@ class RegressionFit:
                 place, unit = int(model[:k].sum()), self.standard.target_scale / self.standard.scale[k]
                 coef, sd, (low, high) = unit * mean[k], unit * np.sqrt(covariance[place, place]), bounds[kept[k]]
                 sds = float(max(low - coef, coef - high) / sd)
-                if sds > max(most, found.get(names[k], (0.0, 0.0, 0.0))[2]):
+                if sds > max(CONTRADICTED, found.get(names[k], (0.0, 0.0, 0.0))[2]):
                     found[names[k]] = (float(high if coef > high else low), float(coef), sds)
         return found
 

@@ -135,7 +135,7 @@ def without_bad_samples(
             for name, kinds in channels.items()
         }
         out.append(with_samples(record, changed))
-        where = f"{record.name or 'record'}: " if len(records) > 1 else ""
+        where = f"{record.label}: " if len(records) > 1 else ""
         messages += [where + _message(name, kind, rows) for name, bad in channels.items() for kind, rows in bad.items()]
     return out, messages
 

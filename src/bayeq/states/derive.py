@@ -84,7 +84,7 @@ def require_varying(records: Sequence[Record], names: Sequence[str]) -> None:
     Missing samples, NaN, are passed over. A RecordError names a channel that is the same in all rows of all records,
     varies by too little to have a square, or lies too far from zero; an UnknownNameError one that a record lacks.
     """
-    where = (records[0].name or "record") if len(records) == 1 else f"{len(records)} records"
+    where = records[0].label if len(records) == 1 else f"{len(records)} records"
     rows = sum(record.n for record in records)
     for name in names:
         samples = [values for record in records if len(values := known(record[name]))]
@@ -117,7 +117,7 @@ def require_steps(records: Sequence[Record]) -> None:
         step = record.dt
         if step is not None and not 1 / LONGEST_STEP <= step <= LONGEST_STEP:
             raise RecordError(
-                f"{record.name or 'record'}: steps of time are about {step:g} s, out of range; check the time column or"
+                f"{record.label}: steps of time are about {step:g} s, out of range; check the time column or"
                 " fs, or give time in another unit"
             )
 
@@ -146,14 +146,14 @@ def require_usable(record: Record, names: Sequence[str]) -> None:
         row = int(np.argmax(np.abs(values)))
         if abs(values[row]) > LARGEST:
             raise RecordError(
-                f"{record.name or 'record'}: channel {name!r} is {values[row]:g} in row {row + 1}, too large to square"
+                f"{record.label}: channel {name!r} is {values[row]:g} in row {row + 1}, too large to square"
                 " and cube; correct it, or give the channel in a larger unit"
             )
 
 
 def _derivative(record: Record, source: str, name: str, order: int) -> Floats:
     """The `order`-th derivative, `name`, of a measured channel."""
-    where = record.name or "record"
+    where = record.label
     if record.time is None:
         raise RecordError(f"{where}: {name!r} has to be estimated from {source!r}, which needs a time column or fs")
     if record.n < LEAST_ROWS_TO_DIFFERENTIATE:

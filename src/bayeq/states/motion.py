@@ -218,9 +218,7 @@ def _of_map(record: Record, roles: Roles) -> MotionRows:
     """Rows of a record from `in_samples`, missing samples bridged, with earlier and next ones beside."""
     record = on_grid(record, roles.channels)
     if record.time is None or (np.diff(record.time) != 1.0).any():
-        raise RecordError(
-            f"{record.name or 'record'}: most samples of a map are missing: give those without gaps, --rows"
-        )
+        raise RecordError(f"{record.label}: most samples of a map are missing: give those without gaps, --rows")
     require_usable(bridged_record(record, roles), roles.channels)
     samples = {name: np.array(record[name]) for name in roles.channels}
     for name in roles.inputs:
@@ -309,7 +307,7 @@ def _rows(record: Record, roles: Roles, columns: Mapping[str, Floats]) -> Motion
     if roles.timed:
         if record.time is None or counts_rows(record):
             raise RecordError(
-                f"{record.name or 'record'}: a term uses t, the time, but the record has none; name its time column"
+                f"{record.label}: a term uses t, the time, but the record has none; name its time column"
                 " (time=, --time) or give the sampling rate (fs=, --fs)"
             )
         columns = {**columns, TIME: np.asarray(record.time, dtype=np.float64)}
@@ -326,7 +324,7 @@ def _require_integrable(records: Sequence[Record], chain: Chain, smooth: Smooth)
     """Check the channels of a chain whose coordinate is not measured; one that has its name is not used."""
     for record in records:
         require_usable(record, [name for name in chain.measured if name is not None])
-    where = records[0].name or "record"
+    where = records[0].label
     lacking = None
     if any(record.time is None for record in records):
         lacking = "a time column or fs"

@@ -69,7 +69,7 @@ def without_impossible(records: Sequence[Record], names: Sequence[str]) -> tuple
     """Records with NaN in place of infinite samples and those too large to square, unless most are; what to say."""
     out, messages = [], []
     for record in records:
-        where = f"{record.name or 'record'}: " if len(records) > 1 else ""
+        where = f"{record.label}: " if len(records) > 1 else ""
         changed = {}
         for name in names:
             values = record[name]
@@ -93,7 +93,7 @@ def missing_messages(records: Sequence[Record], roles: Roles) -> list[str]:
     """A sentence for each channel of which samples are missing."""
     out = []
     for record in records:
-        where = f"{record.name or 'record'}: " if len(records) > 1 else ""
+        where = f"{record.label}: " if len(records) > 1 else ""
         for name in roles.channels:
             rows = np.isnan(record[name])
             if rows.any():
@@ -116,7 +116,7 @@ def require_enough(records: Sequence[Record], roles: Roles) -> None:
     """Raise a RecordError unless 10 rows have a sample of every channel."""
     usable = sum(int(has_all(record, roles).sum()) for record in records)
     if usable < LEAST_USABLE:
-        where, total = ", ".join(record.name or "record" for record in records[:3]), sum(r.n for r in records)
+        where, total = ", ".join(record.label for record in records[:3]), sum(r.n for r in records)
         rows = f"{usable} row{'s' * (usable != 1)}"
         usable_of = rows if usable == total else f"{rows} of {total} with a sample of every channel"
         raise RecordError(f"{where}: {usable_of}: too few for a regression (at least {LEAST_USABLE}); measure more")
@@ -175,7 +175,7 @@ def inputs_filled(record: Record, inputs: Sequence[str]) -> Record:
     gaps = np.any([_long(np.isnan(record[name])) for name in lacking], axis=0)
     if gaps.any() and (gaps[0] or gaps[-1] or len(split_at_gaps([record.take(~gaps)], inputs)[0]) > 1):
         raise RecordError(
-            f"{record.name or 'record'}: {', '.join(lacking)}: samples are missing for too long to fill in"
+            f"{record.label}: {', '.join(lacking)}: samples are missing for too long to fill in"
             f" ({listed(gaps)} of those that are run over); run over rows before or after (start, rows)"
         )
     time = np.asarray(record.time)
@@ -312,7 +312,7 @@ def in_samples(record: Record, roles: Roles) -> Record:
         off = np.abs(np.asarray(record.time) - start - step * index).max()
         if not (np.diff(index) > 0).all() or off > OFF_GRID * step:
             raise RecordError(
-                f"{record.name or 'record'}: steps of time are uneven, and a map goes from sample to sample: resample"
+                f"{record.label}: steps of time are uneven, and a map goes from sample to sample: resample"
                 " evenly, or leave time out"
             )
         time = index.astype(np.float64)
@@ -357,7 +357,7 @@ def without_hum(
     """
     found, heard = [], set[float]()
     for record in records:
-        where, even = record.name or "record", on_grid(record, names)
+        where, even = record.label, on_grid(record, names)
         step = None if even.time is None else even_step(np.asarray(even.time))
         if step is None:
             raise RecordError(

@@ -57,7 +57,7 @@ MEAN: dict[str, Any] = {"color": style.BLACK, "markersize": 5, "markeredgewidth"
 TRUTH: dict[str, Any] = {"color": style.RED, "markerfacecolor": "none", "markersize": 6, "markeredgewidth": 1.3}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False, slots=True)
 class Comparison:
     """MCMC and VB on the same realisation, in original units."""
 

@@ -55,7 +55,7 @@ LONGEST_MESSAGE = 300
 Answer = TypeVar("Answer")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False, slots=True)
 class Realisation:
     """The data of one realisation."""
 

@@ -15,7 +15,7 @@ from bayeq.adapters.pysindy.series import LEAST_FLOOR, UNSEEN, UNSEEN_ROWS, piec
 from bayeq.arrays import Bools, Floats
 from bayeq.errors import DataWarning, InputError, RecordError, UnknownNameError
 from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
-from bayeq.inference.engines import ENGINES
+from bayeq.inference.engines import ENGINES, spike_slab_methods
 from bayeq.inference.gram import Gram, checked_weights
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
@@ -23,7 +23,7 @@ from bayeq.states.kinematic.fit import fit_kinematic
 from bayeq.states.kinematic.smoother import ChainSeries, smooth_kinematic
 
 # Engines with the spike-and-slab prior.
-METHODS = [name for name, engine in ENGINES.items() if engine.spike_slab]
+METHODS = spike_slab_methods()
 
 
 @dataclass(eq=False, repr=False)

@@ -207,7 +207,7 @@ LARGEST_SQUARE = LARGEST**2
 LAGS = 4096
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False, slots=True)
 class Folded:
     """What is left of some rows."""
 
@@ -343,7 +343,7 @@ class AsMeasured(_Rows[OfRows]):
         return OfRows(train, held_out, unit.extent, first, last)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Lagged:
     """Sums of products of residuals some rows apart."""
 
@@ -378,7 +378,7 @@ def _products(a: Floats, b: Floats) -> Floats:
     return np.pad(found, (0, LAGS - len(found)))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LaggedResiduals(_Rows[Lagged]):
     """Products of the residuals of the training rows, for which `terms` are those of a model; see `_Rows`."""
 
@@ -408,7 +408,7 @@ class ByLikelihood(Work[Block]):
     def of(cls, extents: Sequence[Extent], motion: Motion, task: Task, state: State, learned: Learned) -> Self:
         """Without the rows and paths of the fit, so that it is small."""
         motion = replace(motion, records=(), cuts=())
-        task = replace(task, series=(), recent=[])
+        task = replace(task, series=())
         return cls(tuple(extents), motion, task, replace(state, paths=(), blurs=()), learned)
 
     def __call__(self, unit: Unit) -> Block:

@@ -30,7 +30,7 @@ ROUNDING = 1e-9
 INSET = 0.5
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False, slots=True)
 class Excitation:
     """A row of the table."""
 
@@ -151,7 +151,7 @@ def band_of(samples: NDArray[np.float64], fs: float) -> tuple[float, float] | No
     return float(low * fs / len(samples)), float(high * fs / len(samples))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Conditions:
     """What may be done, and what is known."""
 

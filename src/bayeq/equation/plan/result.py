@@ -98,7 +98,7 @@ class Outcome:
     separations: tuple[Separation, ...] = ()  # the closest rival first; empty where the coefficients are planned for
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Plan:
     """Designs compared by simulation, the one that tells most per second first.
 

@@ -35,7 +35,7 @@ from bayeq.forecast.free_run import apart, typical_period, window_runs
 from bayeq.forecast.rows import divided, rows_of
 from bayeq.inference.collapsed.path import DEPENDENT, best_of_each_size, best_without_one, partial_shares, path_sizes
 from bayeq.inference.collapsed.problem import gram_block
-from bayeq.inference.engines import ENGINES
+from bayeq.inference.engines import ENGINES, spike_slab_methods
 from bayeq.inference.gram import Gram
 from bayeq.inference.posterior import Posterior
 from bayeq.numerics.settings import LIKELIHOOD, SELECTION
@@ -80,10 +80,9 @@ class Rules:
         if isinstance(self.max_terms, bool) or whole < 1:
             raise InputError(f"max_terms must be at least 1, got {self.max_terms!r}")
         if not ENGINES[method].spike_slab:
-            known = ", ".join(name for name, engine in ENGINES.items() if engine.spike_slab)
             raise InputError(
                 f"max_terms compares models by their posterior, which method {method!r} does not have; choose one of:"
-                f" {known}"
+                f" {', '.join(spike_slab_methods())}"
             )
 
 

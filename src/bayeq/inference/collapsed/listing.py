@@ -48,7 +48,7 @@ MOST_MOVES = 2_000_000
 FORGET = 40.0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False, slots=True)
 class ModelSet:
     """Models with their log posteriors."""
 

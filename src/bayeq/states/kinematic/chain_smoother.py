@@ -29,7 +29,7 @@ SHARE_OF_BINS = 1 / 16
 INDEPENDENT = 0.6
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False, slots=True)
 class ChainSmoothing:
     """How a chain was smoothed."""
 
@@ -119,7 +119,7 @@ def smooth_chain(
     """
     sensors = sensors or Sensors()
     cuts = [record.n for record in records] if rows is None else list(rows)
-    where = records[0].name or "record"
+    where = records[0].label
     least = STATES.rows_per_order * (chain.order + 1)
     if sum(cuts) < least or min(cuts) < 2:
         raise RecordError(
