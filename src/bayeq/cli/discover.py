@@ -90,7 +90,7 @@ class _Method(click.Choice):  # type: ignore[type-arg]  # generic in the latest 
     "--method",
     type=_Method(list(ENGINES)),
     default="auto",
-    help="Engine; auto: optimum by VB, probabilities by model averaging.",
+    help="Engine; auto: model averaging, with the lower bound of variational Bayes.",
 )
 @opt.sure(
     "--smooth",
