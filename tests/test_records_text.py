@@ -367,3 +367,14 @@ def test_files_with_dates_are_joined_by_their_clocks(tmp_path):
     ]
     both = join(*(Record.from_dataframe(pd.DataFrame(one)) for one in stamps))
     np.testing.assert_allclose(both["x"], both["F"], atol=1e-5)
+
+
+def test_files_are_joined_by_dates_of_whatever_kind(tmp_path):
+    path = put(tmp_path, "Time,x\n" + "".join(f"2024-03-01 12:00:{k:02d},{k}\n" for k in range(9)))
+    moments = pd.to_datetime("2024-03-01 12:00:02") + pd.to_timedelta(np.arange(9.0), unit="s")
+    excel = 25569.0 + (moments - pd.Timestamp(0)) / pd.Timedelta(days=1)  # days since 1899-12-30
+    for time in (moments, excel):
+        other = Record.from_dataframe(pd.DataFrame({"Date": time, "F": np.arange(2.0, 11.0)}), time="Date")
+        both = join(read(path), other)
+        np.testing.assert_allclose(both["x"], both["F"], atol=1e-3)
+        assert both.n >= 6  # days of Excel are rounded

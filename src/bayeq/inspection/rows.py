@@ -211,9 +211,9 @@ def find_bad(records: Sequence[Record], guess: Guess, names: Sequence[str]) -> t
     timed = all(record.time is not None for record in records)
     # a square of what is larger is infinite, of what is smaller zero
     sizes = {name: max(float(np.nanmax(np.abs(r[name]), initial=0.0)) for r in records) for name in names}
-    names = [name for name in names if 1 / LARGEST <= sizes[name] <= LARGEST]
+    every, names = names, [name for name in names if 1 / LARGEST <= sizes[name] <= LARGEST]
     if not names or not timed:
-        return found, 0
+        return _in_order(found, every), 0
     looked, first = 0, 0
     for record in records:
         whole = [(0, record.n, set(names))]
@@ -227,8 +227,13 @@ def find_bad(records: Sequence[Record], guess: Guess, names: Sequence[str]) -> t
                         place = found.setdefault(name, {}).setdefault(kind, [])
                         found[name][kind] = sorted({*place, *(np.flatnonzero(rows) + first + a + 1).tolist()})
         first += record.n
-    order = {name: found[name] for name in names if name in found}
-    return {name: {kind: one[kind] for kind in ADVICE if kind in one} for name, one in order.items()}, looked
+    return _in_order(found, every), looked
+
+
+def _in_order(found: Bad, names: Sequence[str]) -> Bad:
+    """Bad samples by channel, in the order of `names`, and by kind, in the order of `ADVICE`."""
+    kept = {name: found[name] for name in names if name in found}
+    return {name: {kind: one[kind] for kind in ADVICE if kind in one} for name, one in kept.items()}
 
 
 def _roles(guess: Guess, names: Sequence[str], suspects: set[str]) -> Roles:

@@ -142,7 +142,7 @@ class Columns:
     time: int | None = None  # the column that is time, where something other than its name says so
     step: float | None = None  # time step [s] that the file states
     start: float = 0.0  # time of the first row [s], where `step` is given
-    begins: float | None = None  # what a clock with dates showed at time 0 [s]
+    begins: float | None = None  # clock with dates at time 0 [s since 1970]
 
     @property
     def names(self) -> list[str]:
@@ -161,7 +161,7 @@ class Columns:
             try:
                 if raw.dtype.kind in "mM":
                     arrays.append(as_time(raw, headers.where))
-                    if raw.dtype.kind == "M" and raw.size:
+                    if raw.dtype.kind == "M" and raw.size and not np.isnat(raw[0]):
                         begins = float(raw[0].astype("datetime64[us]").astype(np.int64)) * 1e-6
                     kept.units[place] = "s"
                 else:
@@ -425,12 +425,17 @@ def _time(data: Columns, column: int | None, units: Mapping[int, str | None]) ->
     return seconds, {"t": unit} if unit and "t" not in others else {}
 
 
+# 1970-01-01 in Excel's numbers of days.
+EXCEL_1970 = 25_569.0
+
+
 def _clock(raw: Floats, seconds: Floats) -> float | None:
-    """What was taken off times that are numbers of dates [s]; None of others."""
+    """Clock [s since 1970] at the first row, where times are numbers of dates; None otherwise."""
     if len(raw) < 2 or seconds[0] != 0.0 or raw[0] == 0.0:
         return None
     factor = (seconds[1] - seconds[0]) / (raw[1] - raw[0])
-    return float(raw[0] * min(SECONDS.values(), key=lambda one: abs(math.log(one / factor))))
+    unit = min(SECONDS.values(), key=lambda one: abs(math.log(one / factor)))
+    return float((raw[0] - (EXCEL_1970 if unit == SECONDS["d"] else 0.0)) * unit)
 
 
 def _place(data: Columns, column: int) -> str:

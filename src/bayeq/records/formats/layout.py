@@ -448,7 +448,7 @@ def unit_cell(cell: str) -> str | None:
     return bare if not text or _UNIT_CELL.match(text) else None
 
 
-#: Whole seconds (since year 1 or midnight) and the rest: their difference keeps every digit.
+#: Whole seconds (since 1970 or midnight) and the rest: their difference keeps every digit.
 Stamp = tuple[int, float]
 
 _DAY = (
@@ -461,7 +461,7 @@ _CLOCK = (
 )
 _ZONE = r"(?:Z|(?P<sign>[+-])(?P<zh>\d\d):?(?P<zm>\d\d)?)?"
 _STAMP = re.compile(rf"(?:{_DAY}(?:[T ]\s*{_CLOCK}\s*{_ZONE})?)|(?:{_CLOCK.replace('?P<', '?P<c_')})")
-_FIRST = datetime(1, 1, 1)
+_FIRST = datetime(1970, 1, 1)
 
 
 def parse_stamp(text: str, day_first: bool = False) -> Stamp | None:
@@ -470,7 +470,7 @@ def parse_stamp(text: str, day_first: bool = False) -> Stamp | None:
     Of dates with slashes and the year at the end the month is first, unless it is no month or `day_first`.
 
     >>> parse_stamp("2024-03-01 12:00:01.5"), parse_stamp("0:00:01,25"), parse_stamp("01.03.2024 12:00:00,25")[1]
-    ((63844891201, 0.5), (1, 0.25), 0.25)
+    ((1709294401, 0.5), (1, 0.25), 0.25)
     >>> parse_stamp("3/1/2024 1:00:00 PM") == parse_stamp("1/3/2024 13:00", day_first=True)
     True
     """
