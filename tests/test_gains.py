@@ -76,7 +76,7 @@ def test_calibration_against_the_marginal_likelihood_of_moved_samples(answers):
         moved[[i for i, _ in task.layout.uncertain]] = factors
         series = tuple(s._replace(samples=s.samples - moved * at) for s, at in zip(task.series, seen, strict=True))
         beside = [(gain.value * (1.0 + f) - 1.0) / gain.prior_sd for gain, f in zip(known, factors, strict=True)]
-        return replace(task, series=series, recent=[]).value(state) - 0.5 * float(np.square(beside).sum())
+        return replace(task, series=series).value(state) - 0.5 * float(np.square(beside).sum())
 
     # the likelihood of a linearised model is quadratic in factors
     step, axes = 1e-3, np.eye(len(known))

@@ -431,6 +431,7 @@ def test_units_that_are_counted_are_in_the_sum_wherever_an_interrupt_falls(recor
 
         kept = Checkpoint(tmp_path / f"{step}.npz", every=True)
         before = sys.gettrace()
+        sys._getframe().f_trace_opcodes = True  # Python 3.12 asks for it before there is a trace
         sys.settrace(trace)
         try:
             fold(rows_of, units[:4], _InOrder(), lambda *_: None, "rows", kept)
