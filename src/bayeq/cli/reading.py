@@ -327,8 +327,12 @@ def _require_rate_of_file(file: Path, paths: Mapping[str, str], options: Mapping
 
 def _require_rate(record: Record, name: str) -> None:
     """Refuse an --fs that contradicts a column that looks like time (with --fs it is read as a channel)."""
+    import numpy as np
+
     from bayeq.records.validate import other_step
 
+    if record.n > 2 and bool((np.diff(record[name]) < 0.0).all()):
+        raise InputError(f"{record.name}: time runs backwards in column {name!r}; sort the rows by it")
     # a unit such as ms is that of the column, which is a channel here
     step = None if record.fs is None else other_step(record[name], record.units.get(name, "s"), record.fs)
     if step is not None:

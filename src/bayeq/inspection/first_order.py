@@ -12,10 +12,10 @@ from bayeq.arrays import Floats
 from bayeq.errors import some_of
 from bayeq.inspection.roles import INPUT, Clue, Guess, clue_of
 from bayeq.records import Record
+from bayeq.records.names import REVOLUTIONS
 
 # Speeds of rotation; other quantities of which no inertia is known; their symbols as names (v, a or x are motions).
-ROTATION = {"rpm", "1/min", "U/min", "min^-1"}
-UNITS = ROTATION | {"V", "mV", "kV", "uV", "µV", "A", "mA", "kA", "bar", "mbar", "%"}
+UNITS = REVOLUTIONS | {"V", "mV", "kV", "uV", "µV", "A", "mA", "kA", "bar", "mbar", "%"}
 CURRENTS = {"A", "mA", "kA"}
 SYMBOLS = re.compile(r"([VUIT](_.*)?|[uin])(_?\d+)?")
 
@@ -47,7 +47,7 @@ def of_first_order(guess: Guess, clues: Mapping[str, Clue], record: Record) -> G
         reasons[speed] = f"{clues[speed].why}; it only decays and no force is known: its rate is what is sought"
     elif speed is not None and one_way(record[speed]):
         reasons[speed] = f"{clues[speed].why}; it hardly turns back, as nothing on a spring does: its rate is sought"
-    elif speed is not None and units.get(speed) in ROTATION:
+    elif speed is not None and units.get(speed) in REVOLUTIONS:
         reasons[speed] = f"{clues[speed].why}, a speed of rotation, whose rate is sought"
     elif speed is not None or not alike:
         return guess

@@ -34,7 +34,7 @@ _TIME_WORDS = (
 )
 _TIME_NAME = re.compile(
     rf"(?:(?:elapsed|relative|rel|absolute|abs|total|test|run|running|sample|date)_)?(?:{'|'.join(_TIME_WORDS)})"
-    r"(?:_?stamp)?(?:_(?P<unit>s|sec|ms|msec|us|µs|μs|ns|min|h))?"
+    r"(?:_?stamp)?(?:_(?:in_)?(?P<unit>s|sec|ms|msec|us|µs|μs|ns|min|h))?"
 )
 # Names of times that are units themselves, of columns and of stated units.
 _UNIT_NAMES: dict[str, str] = {
@@ -126,6 +126,8 @@ def time_unit(name: str) -> str | None:
 
     >>> time_unit("time_ms"), time_unit("Zeit"), time_unit("x_ms"), time_unit("Year"), time_unit("Tag")
     ('ms', None, None, 'year', 'd')
+    >>> time_unit("Zeit_in_ms")
+    'ms'
     """
     match = _TIME_NAME.fullmatch(name.casefold())
     return match["unit"] if match else _UNIT_NAMES.get(name.casefold())
@@ -169,12 +171,16 @@ SIZES: Mapping[str, tuple[float, int, int]] = {
     "μm": (1e-6, 1, 0), "nm": (1e-9, 1, 0), "km": (1e3, 1, 0), "in": (0.0254, 1, 0), "ft": (0.3048, 1, 0),
     "rad": (1.0, 0, 0), "mrad": (1e-3, 0, 0), "deg": (math.pi / 180, 0, 0), "°": (math.pi / 180, 0, 0),
     "rev": (2 * math.pi, 0, 0), "rpm": (2 * math.pi / 60, 0, -1), "s": (1.0, 0, 1), "sec": (1.0, 0, 1),
-    "ms": (1e-3, 0, 1), "min": (60.0, 0, 1), "h": (3600.0, 0, 1), "g": (9.80665, 1, -2),
+    "ms": (1e-3, 0, 1), "min": (60.0, 0, 1), "h": (3600.0, 0, 1), "g": (9.80665, 1, -2), "G": (9.80665, 1, -2),
 }  # fmt: skip
+
+#: Ways to write revolutions per minute.
+REVOLUTIONS = frozenset({"rpm", "1/min", "/min", "min-1", "min^-1", "min⁻¹", "U/min", "tr/min", "r/min"})
 
 #: Units of force in newtons.
 FORCES: Mapping[str, float] = {
-    "N": 1.0, "kN": 1e3, "MN": 1e6, "mN": 1e-3, "uN": 1e-6, "daN": 10.0, "kgf": 9.80665, "lbf": 4.4482216152605,
+    "N": 1.0, "kN": 1e3, "MN": 1e6, "mN": 1e-3, "uN": 1e-6, "daN": 10.0, "kgf": 9.80665, "kp": 9.80665,
+    "lbf": 4.4482216152605, "lbs": 4.4482216152605,
 }  # fmt: skip
 
 # Symbols that measurements are labelled with: these, and those of `SIZES`. Of the first with the usual prefixes.
@@ -199,7 +205,7 @@ _KNOWN = frozenset(
 _ENDING = re.compile(
     r".*[^\W_].*?[_ ](?:(?P<above>[mcuµμ]?m|m?rad|deg|rev)(?:_?per_?|p|_)s(?:ec)?(?P<squared>_?2|\^2|²|s)?"
     r"|(?P<whole>[mcuµμ]m|k?Nm|kN|[kMh]Pa|m?bar|psi|[mk]V|mA|k?Hz|m?rad|deg|rpm|degC|kg|lbf))"
-    r"|(?:f|force|kraft|load|last|thrust)[\w ]*?[_ ](?P<force>(?-i:N))"
+    r"|(?:f|force|kraft|load|last|thrust)[\w ,]*?[_ ](?P<force>(?-i:N))"
     r"|(?:a|acc\w*|beschl\w*)[\w ]*?[_ ](?P<gravity>(?-i:g))",
     re.IGNORECASE,
 )
@@ -213,11 +219,14 @@ def unit_in_name(header: str) -> str | None:
 
     >>> unit_in_name("disp_mm"), unit_in_name("vel_mm_s"), unit_in_name("Kraft/kN"), unit_in_name("acc_g")
     ('mm', 'mm/s', 'kN', 'g')
+    >>> unit_in_name("Weg s1 / mm"), unit_in_name("Acc m/s^2"), unit_in_name("Force, N")
+    ('mm', 'm/s^2', 'N')
     >>> unit_in_name("motor_A"), unit_in_name("F/A"), unit_in_name("u_in"), unit_in_name("m/s"), unit_in_name("x_m")
     (None, None, None, None, None)
     """
     text = header.strip()
-    if match := re.fullmatch(r".+ (.+/.+)", text) or _DIVIDED.fullmatch(text):
+    # "Acc m/s^2", but of "Weg s1/mm" and "Weg s1 / mm" the unit is what stands behind the slash
+    if match := re.fullmatch(r".+ ((?!\w+1/)\S+/\S+)", text) or _DIVIDED.fullmatch(text):
         symbols = parse_unit(match[1])
         known = bool(symbols) and _KNOWN.issuperset(symbols) and text.split("/")[0] not in _NO_NAMES
         return match[1] if known and (match[1] not in _CHANNELS or text.index("/") > 2) else None
@@ -276,6 +285,8 @@ def parse_unit(text: str) -> Unit:
         text = text[1:-1].strip()
     if text in DIMENSIONLESS:
         return {}
+    if text in REVOLUTIONS:
+        return {"rpm": Fraction(1)}
     out: Unit = {}
     rest = re.sub(r"[⁰¹²³⁴⁵⁶⁷⁸⁹⁻]+", lambda found: found.group().translate(SUPERSCRIPTS), text)
     while rest:

@@ -151,7 +151,8 @@ SECONDS: Mapping[str, float] = {
 
 
 def other_step(values: Floats, unit: str, fs: float) -> float | None:
-    """The median step [s] of a column that looks like time, where it rises, and not at a rate of fs to 1 %.
+    """The median step [s] of a column that looks like time, where it rises, and not at a rate of fs to 1 %; None also
+    of a clock that is too coarse, which repeats times.
 
     >>> ms = np.arange(5.0)
     >>> other_step(ms, "ms", 500.0), other_step(ms, "ms", 1000.0)
@@ -160,7 +161,8 @@ def other_step(values: Floats, unit: str, fs: float) -> float | None:
     with np.errstate(invalid="ignore"):  # of infinite times
         steps = np.diff(values)
         step = float(np.median(steps)) * SECONDS.get(unit, 1.0) if len(steps) else 0.0
-    return step if step > 0.0 and not 0.99 < fs * step < 1.01 else None
+    coarse = np.count_nonzero(steps == 0.0) > len(values) // MOST_REPEATED
+    return step if step > 0.0 and not coarse and not 0.99 < fs * step < 1.01 else None
 
 
 # A step over midnight is no longer than this many usual ones.
