@@ -49,6 +49,10 @@ JUMP_NODES = 1000
 # constants the grid of all has about this many.
 BEND_NODES, BEND_GRID = 100, 2500
 
+# Further nodes of a rate in an exponential: its exponent changes by these along the record. Between nodes that are
+# farther apart polynomials make up for what a node lacks.
+EXPONENTS = np.arange(0.5, 15.1, 0.5)
+
 # Frequencies are this share of what the record resolves apart.
 APART = 0.8
 
@@ -414,7 +418,17 @@ def _nodes(
         count = JUMP_NODES
     elif _bends(path):
         count = min(BEND_NODES, max(NODES, int(BEND_GRID ** (1.0 / of))))
-    return (np.geomspace if is_scale(constant) else np.linspace)(low, high, count).tolist()
+    found = (np.geomspace if is_scale(constant) else np.linspace)(low, high, count)
+    if of == 1 and values is not None and place.operation in ("*", "below") and place.power is None and _grows(path):
+        further = _span(values) / EXPONENTS if place.operation == "below" else EXPONENTS / _span(values)
+        further = np.append(further, -further)
+        found = np.unique(np.append(found, further[(low < further) & (further < high)]))
+    return found.tolist()
+
+
+def _grows(path: tuple[Node, ...]) -> bool:
+    """Whether a constant stands in the exponent of an exponential."""
+    return any(isinstance(node, Call) and node.function == "exp" for node in path)
 
 
 def _jumps(path: tuple[Node, ...]) -> bool:
