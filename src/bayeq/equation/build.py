@@ -257,7 +257,13 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
     if isinstance(regression, RecordRegression) and regression.record.rivals and verdict.kind != "none":
         other = ", ".join(f"{name} = {value:.4g}" for name, value in regression.record.rivals[0].items())
         return Verdict("not determined", f"as likely with {other}", "give narrower ranges, as in {a: 0.1..1}")
-    if equation.posterior.details.converged or verdict.kind in ("none", "not determined"):
+    if verdict.kind in ("none", "not determined"):
+        return verdict
+    likelier = [one for one in equation.runners_up if one.log_odds > AMBIGUOUS]
+    if likelier and not equation.left_out:
+        reason = f"by another approximation {likelier[0]} is likelier (odds {likelier[0].odds})"
+        return Verdict("not determined", reason, LONGER)
+    if equation.posterior.details.converged:
         return verdict
     reason = f"{equation.posterior.details.method} did not converge: probabilities of terms may be off"
     return Verdict("not determined", reason, "give fewer candidate terms, or compare with another method")

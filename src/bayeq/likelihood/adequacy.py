@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import compress
 from typing import NamedTuple
 
 import numpy as np
@@ -114,14 +115,14 @@ class Adequacy:
         contradicted = [one for one in self.suspects if one.channel in channels]
         if contradicted:
             return max(contradicted, key=lambda one: one.sds)
-        top = max((one.high for one in self.octaves), default=0.0)
-        empty = [
-            one for one in self.octaves if one.channel in channels and one.p <= self.limit and one.ratio < FILTERED
-        ]
+        empty = list[Octave]()
+        for channel in channels:
+            octaves = sorted((one for one in self.octaves if one.channel == channel), key=lambda one: -one.low)
+            rejected = [one.p <= self.limit and one.ratio < FILTERED for one in octaves]
+            if rejected == sorted(rejected, reverse=True):  # hum leaves octaves below it as empty as those above
+                empty += compress(octaves, rejected)
         lowest = min(empty, key=lambda one: one.low, default=None)
-        if lowest is None or all(one.high < top for one in empty):
-            return None
-        return Suspect(lowest.channel, "filter", lowest.low)
+        return None if lowest is None else Suspect(lowest.channel, "filter", lowest.low)
 
     def changing(self, c: int) -> Change | None:
         """The least probable change of a coefficient of equation c, if it is rejected."""
