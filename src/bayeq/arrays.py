@@ -1,4 +1,4 @@
-"""Types of arrays, by what their entries are."""
+"""Array types by element type."""
 
 from __future__ import annotations
 

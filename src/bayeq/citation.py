@@ -1,4 +1,4 @@
-"""How to cite bayeq, and the paper whose method it computes."""
+"""How to cite bayeq, and the paper whose method it implements."""
 
 from __future__ import annotations
 

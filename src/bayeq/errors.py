@@ -1,4 +1,4 @@
-"""What can go wrong, as types; and checks of the types of arguments, which raise in one line that names them.
+"""Exceptions and warnings of bayeq, and checks of argument types with one-line messages that name the argument.
 
 ::
 
@@ -44,19 +44,19 @@ __all__ = [
 ]  # fmt: skip
 
 
-#: Numbers of system errors that say that a disk, or the share of it that a user has, is full.
+#: System error numbers of a full disk, a file too large, and an exhausted disk quota.
 FULL = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT)
 
 
 class BayeqError(Exception):
     """Base of every exception that bayeq raises on purpose."""
 
-    def __reduce__(self) -> tuple[Any, ...]:  # by its message: arguments of subclasses are others
+    def __reduce__(self) -> tuple[Any, ...]:  # by its message: subclasses take other arguments
         return _received, (type(self), self.args, self.__dict__)
 
 
 def _received(kind: type[BayeqError], args: tuple[Any, ...], state: dict[str, Any]) -> BayeqError:
-    """An error that another process sent."""
+    """Rebuild an exception that another process has sent."""
     error = kind.__new__(kind, *args)
     error.__dict__.update(state)
     return error
@@ -78,9 +78,9 @@ class WordsError(FileFormatError):
     message : str
         What is wrong, and where.
     column : str
-        Its name.
+        Name of the column.
     others : sequence of str
-        Names of the columns that may be read without it.
+        Names of the columns that can be read without it.
     """
 
     def __init__(self, message: str, column: str = "", others: Sequence[str] = ()) -> None:
@@ -89,7 +89,7 @@ class WordsError(FileFormatError):
 
 
 class LengthsError(FileFormatError):
-    """Arrays of a file have several lengths, `sizes` by the names of their channels: they are no single record."""
+    """Arrays of a file differ in length (`sizes`, by channel name), so that they form no single record."""
 
     sizes: Mapping[str, int] = {}
 
@@ -114,9 +114,9 @@ class UnknownNameError(InputError):
     kind : str
         What the name should have been: "channel", "system" ...
     name : str
-        What was asked for.
+        The unknown name.
     known : iterable of str
-        What there is.
+        The names that exist.
     where : str, optional
         Where it was looked for (a file, an argument), put in front of the message.
     """
@@ -156,7 +156,7 @@ class MissingExtraError(BayeqError, ImportError):
 
 @contextmanager
 def needing(package: str, extra: str, purpose: str) -> Iterator[None]:
-    """Import a package of an extra within; MissingExtraError if it is not installed."""
+    """Import a package of an extra within this context; MissingExtraError if it is not installed."""
     try:
         yield
     except ImportError:
@@ -192,7 +192,7 @@ class ConvergenceWarning(BayeqWarning):
 
 
 class WarningLog:
-    """Warnings collected on the way: issued at the end, and kept in the answer."""
+    """Warnings collected during the work: issued at the end, and kept in the answer."""
 
     def __init__(self) -> None:
         self.collected: list[tuple[str, type[BayeqWarning]]] = []
@@ -210,12 +210,12 @@ class WarningLog:
         self.collected.append((message, category))
 
     def extend(self, messages: Iterable[str], category: type[BayeqWarning]) -> None:
-        """Record several of one category.
+        """Record several warnings of one category.
 
         Parameters
         ----------
         messages : iterable of str
-            One for each warning.
+            The text of each warning.
         category : type of BayeqWarning
             The type of all of them.
         """
@@ -232,7 +232,7 @@ class WarningLog:
         Parameters
         ----------
         stacklevel : int
-            As for `warnings.warn`: whose line is named.
+            As for `warnings.warn`: which caller's line is named.
         """
         for message, category in self.collected:
             warnings.warn(message, category, stacklevel=stacklevel)
@@ -250,7 +250,7 @@ def some_of(texts: Sequence[str], width: int = 60, between: str = ", ") -> str:
 
 
 def in_digits(value: float, digits: int = 2) -> str:
-    """A number in some digits, or in as many as stand before its point, to 100,000.
+    """A number in `digits` significant digits; below 100,000, all digits before the decimal point are kept.
 
     >>> in_digits(0.01234), in_digits(99.7), in_digits(1250.4, 3), in_digits(2e7)
     ('0.012', '100', '1250', '2e+07')
@@ -258,12 +258,12 @@ def in_digits(value: float, digits: int = 2) -> str:
     return f"{value:.0f}" if 10.0**digits - 0.5 <= abs(value) < 1e5 else f"{value:.{digits}g}"
 
 
-# What is shown of an argument of the wrong type.
+# Characters shown of an argument of the wrong type, at most.
 MOST_SHOWN = 40
 
 
 def require_kind(value: Any, kinds: type | tuple[type, ...], what: str, words: str) -> None:
-    """Raise an InputError that `what` must be `words`, unless a value is of some type.
+    """Raise an InputError that `what` must be `words`, unless `value` is of one of the types `kinds`.
 
     >>> require_kind(1, str, "method", "text")
     Traceback (most recent call last):
@@ -274,7 +274,7 @@ def require_kind(value: Any, kinds: type | tuple[type, ...], what: str, words: s
 
 
 def printable(text: str) -> str:
-    """Text without what a terminal would obey, which names of files may hold."""
+    """Text with unprintable characters escaped: names of files may hold control sequences of a terminal."""
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
@@ -301,18 +301,18 @@ def whole_number(what: str, value: Any, least: int, most: int | None = None) -> 
 
 
 def require_text(value: Any, what: str, optional: bool = False) -> None:
-    """Raise unless a value is text, or None where it is `optional`."""
+    """Raise an InputError unless a value is text, or None if `optional`."""
     if not (optional and value is None):
         require_kind(value, str, what, "text")
 
 
 def require_number(value: Any, what: str) -> None:
-    """Raise unless a value is a real number."""
+    """Raise an InputError unless a value is a real number."""
     require_kind(value, Real, what, "a number")
 
 
 def require_texts(value: Any, what: str) -> None:
-    """Raise unless a value is text, or a sequence of texts."""
+    """Raise an InputError unless a value is text, or an iterable of texts."""
     if isinstance(value, str):
         return
     require_kind(value, Iterable, what, "text or a list of texts")
@@ -321,14 +321,14 @@ def require_texts(value: Any, what: str) -> None:
 
 
 def require_mapping(value: Any, what: str) -> None:
-    """Raise unless a value is a mapping with text as keys."""
+    """Raise an InputError unless a value is a mapping with text as keys."""
     require_kind(value, Mapping, what, "a mapping such as {'x': ...}")
     for key in value:
         require_kind(key, str, f"a key of {what}", "text")
 
 
 def as_path(value: Any, what: str = "the file") -> Path:
-    """A path, of text or of an `os.PathLike`."""
+    """Convert text or an `os.PathLike` of text to a `Path`; InputError for anything else."""
     require_kind(value, (str, os.PathLike), what, "a path")
     try:
         return Path(value)
@@ -343,5 +343,5 @@ def _shown(value: Any) -> str:
 
 
 def _printable(text: str) -> str:
-    """A text of a file or a user in one line, without what a terminal would obey."""
+    """Text of a file or a user with unprintable characters, line breaks among them, replaced by spaces."""
     return "".join(c if c.isprintable() else " " for c in text)

@@ -1,4 +1,4 @@
-"""Small pieces of HTML for notebooks, everything that comes from files or users escaped; and text with tables."""
+"""HTML fragments for notebooks, with text from files and users escaped; and plain text with tables."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rich.console import Console
 
-# Left of text, right of numbers, whatever the notebook's own style is.
+# Style of a cell: text left, numbers right, overriding the notebook's own style.
 CELL = "padding:2px 8px;text-align:{side};white-space:pre"
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[str]], left: Iterable[int] = (0,)) -> str:
-    """A table; columns that are not `left` are set right.
+    """HTML table; columns not listed in `left` are right-aligned.
 
     Examples
     --------
@@ -37,32 +37,32 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]], left: Iterable[i
 
 
 def paragraph(text: str, strong: bool = False) -> str:
-    """A paragraph, the important ones in bold type."""
+    """HTML paragraph, in bold type if `strong`."""
     return f"<p><b>{escape(text)}</b></p>" if strong else f"<p>{escape(text)}</p>"
 
 
 def items(texts: Sequence[str]) -> str:
-    """A list; nothing of none."""
+    """HTML list; empty string for no items."""
     return f"<ul>{''.join(f'<li>{escape(text)}</li>' for text in texts)}</ul>" if texts else ""
 
 
 def code(text: str) -> str:
-    """Text to be copied."""
+    """HTML block of preformatted text, for copying."""
     return f'<pre style="white-space:pre-wrap">{escape(text)}</pre>'
 
 
 def join(*parts: str) -> str:
-    """Pieces in one block."""
+    """Join HTML fragments in one `div`."""
     return f"<div>{''.join(parts)}</div>"
 
 
 def shortened(text: str, longest: int = 18) -> str:
-    """The beginning and the end, by which names differ, of a text that is longer; `longest` is even."""
+    """Shorten a text to `longest` characters (an even number); keep its beginning and end, where names differ."""
     return text if len(text) <= longest else f"{text[: longest // 2 - 1]}…{text[-longest // 2 :]}"
 
 
 def text_console(width: int) -> Console:
-    """What text is printed to: styled if standard output is a terminal, else plain and `width` characters wide."""
+    """Console that collects text: styled if standard output is a terminal, else plain and `width` characters wide."""
     from rich.console import Console
 
     terminal = sys.stdout.isatty()
@@ -73,14 +73,14 @@ def text_console(width: int) -> Console:
 
 
 def printed(console: Console) -> str:
-    """What was printed to a `text_console`, without the empty lines of their own that tables bring."""
+    """Text printed to a `text_console`, without the extra empty lines around tables."""
     assert isinstance(console.file, io.StringIO)
     lines = [line.rstrip() for line in console.file.getvalue().rstrip().splitlines()]
     return "\n".join(line for k, line in enumerate(lines) if line or (k and lines[k - 1]))
 
 
 def aligned(rows: Sequence[Sequence[str]], left: Iterable[int] = (0,)) -> list[str]:
-    """Lines of a table in columns two spaces apart; columns that are not `left` are set right.
+    """Lines of a table in columns two spaces apart; columns not listed in `left` are right-aligned.
 
     >>> aligned([("term", "value"), ("x", "-1000.3")])
     ['term    value', 'x     -1000.3']

@@ -1,6 +1,6 @@
-"""Members that other packages add to a table of bayeq, by entry points of the group ``bayeq.NAME``.
+"""Tables of bayeq to which other packages add members, by entry points of the group ``bayeq.NAME``.
 
-Packages are looked for when a name is asked for that the table lacks, so that nobody else waits for them.
+Entry points are loaded only when a name is missing in the table, so that other runs do not wait for them.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ Row = TypeVar("Row")
 
 
 class Table(dict[str, Row]):
-    """Members by name, all of a kind; `load` adds those of other packages, and so does asking for what is absent."""
+    """Members by name, all of type `kind`; `load`, or a look-up of an absent name, adds those of other packages."""
 
     def __init__(self, name: str, kind: type[Row], own: Mapping[str, Row]) -> None:
         super().__init__(own)

@@ -89,7 +89,7 @@ def to_arviz(
     D : (n*, P) array, optional
         Rows at which y is drawn from the posterior predictive distribution, once per draw.
     y : (n*,) array, optional
-        What was observed there.
+        Values observed at these rows.
     rng : Generator
         For the intercept, which is Gaussian about mean(y) - mean(D) theta given theta and sigma^2, and for the
         predictions.
@@ -116,9 +116,9 @@ def to_arviz(
     az = _arviz("to_arviz")
     spread = np.sqrt(draws.noise_variance)
     centre = posterior.constant.mean - draws.theta @ posterior.constant.center
-    known = posterior.constant.variance  # of the likelihood of a record, which does not count rows
+    known = posterior.constant.variance  # set by the likelihood of a record, instead of the number of rows
     sd = spread / math.sqrt(posterior.n) if known is None else math.sqrt(known)
-    if posterior.constant.left_out is not None:  # its own posterior, beside coefficients that are without it
+    if posterior.constant.left_out is not None:  # posterior of an intercept that is not in the model
         centre, sd = np.broadcast_to(np.asarray(posterior.constant.left_out)[:, None, None], (2, *spread.shape))
     intercept = centre + sd * rng.standard_normal(spread.shape)
     groups: dict[str, dict[str, NDArray[Any]]] = {

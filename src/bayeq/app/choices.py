@@ -1,4 +1,4 @@
-"""What is chosen on the page, and the command that this makes: words for a process, never a line for a shell."""
+"""Choices on the page, and the command made from them: a list of arguments for a process, never a shell line."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from bayeq.errors import InputError
 #: Names of the files that are written.
 EQUATION, REPORT = "equation.json", "report.html"
 
-#: Options that say how a file is read, and what the page calls them.
+#: Reading options, and their labels on the page.
 READING = {
     "--time": "Time column",
     "--group": "Column of trial numbers",
@@ -21,13 +21,13 @@ READING = {
     "--skip": "Lines to skip at the top",
 }
 
-# What is typed for the mean of a channel.
+# Text to type as an offset to subtract the mean of a channel.
 MEAN = "mean"
 
 DISPLACEMENT, VELOCITY, ACCELERATION = "displacement", "velocity", "acceleration"
 STATE, RATE, INPUT = "state", "rate", "input"
 
-#: What a channel may be, and what the page calls it.
+#: Roles of channels, and their labels on the page.
 ROLES = {
     "": "not used",
     DISPLACEMENT: "displacement or angle",
@@ -42,9 +42,9 @@ MOTION = (DISPLACEMENT, VELOCITY, ACCELERATION)
 
 @dataclass
 class Choice:
-    """What a channel is: a key of `ROLES`, and of which coordinate, counted from 1, where there are several.
+    """Choices for a channel: its role, a key of `ROLES`, and the number of its coordinate, counted from 1.
 
-    The unit replaces that of the file; the offset that is subtracted is a number or ``mean``. Both are texts as typed.
+    Texts as typed: a unit, which replaces that of the file, and an offset to subtract, a number or ``mean``.
     """
 
     role: str = ""
@@ -83,7 +83,7 @@ def chains_of(choices: Mapping[str, Choice]) -> list[str]:
 
 
 def _only(of: Mapping[str, str], role: str, number: int) -> str:
-    """The channel of a role, empty where there is none."""
+    """The channel of a role in a coordinate; empty if there is none, InputError for several."""
     names = [name for name, its in of.items() if its == role]
     if len(names) > 1:
         *first, last = names
@@ -96,7 +96,7 @@ def _only(of: Mapping[str, str], role: str, number: int) -> str:
 
 @dataclass
 class Choices:
-    """What was chosen on the page; texts as they were typed, empty where nothing is chosen.
+    """All choices on the page; texts as typed, empty if nothing is chosen.
 
     Roles by channel, candidate terms, rows ``A:B``, band ``LO:HI`` and sampling rate [Hz], as the options of the
     command take them, constraints, one in a line, and the options of `READING` that say how the file is read.
@@ -112,17 +112,17 @@ class Choices:
 
     @property
     def words(self) -> list[str]:
-        """How the file is read."""
+        """Command-line arguments of the reading options."""
         return [word for option, text in self.reading.items() if text.strip() for word in (option, text.strip())]
 
     @classmethod
     def proposed(cls, info: Mapping[str, Any]) -> Choices:
-        """What ``bayeq info --json`` proposes to run."""
+        """The choices that `info`, the output of ``bayeq info --json``, proposes."""
         roles = {channel["name"]: Choice() for channel in info["channels"]}
         number = 0
         for chain in info["roles"]["chains"]:
             names = chain.split(":")
-            number += len(names) > 1  # a state alone needs no number, which the page need not show then
+            number += len(names) > 1  # single states keep number 1: the page then hides numbers
             for name, role in zip(names, MOTION if len(names) == len(MOTION) else (STATE, RATE), strict=False):
                 if name in roles:
                     roles[name] = Choice(role, number if len(names) > 1 else 1)

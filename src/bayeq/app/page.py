@@ -23,7 +23,7 @@ FIT = """(event) => {
   new ResizeObserver(fit).observe(page.documentElement);
 }"""
 
-# What stands in the box that files are dropped into; the framework compiles it.
+# Content of the box that files are dropped into, a template of the framework.
 DROP = """<div class="drop-words"><span>{words}</span>
   <q-btn no-caps {look} color="primary" label="{label}" @click="props.pickFiles">
     <q-uploader-add-trigger></q-uploader-add-trigger>
@@ -33,10 +33,10 @@ FORMATS = "CSV, Excel, MATLAB, HDF5, Parquet, LabVIEW, universal files, WAV and 
 
 SIZE = f"{LARGEST // 1_000_000} MB"
 
-# More channels are not offered on a page.
+# Channels offered on the page, at most.
 MOST_CHANNELS = 60
 
-# More coordinates are not offered.
+# Coordinates offered on the page, at most.
 MOST_COORDINATES = 9
 
 CONSTRAINTS_HINT = "what is known of coefficients, one in a line, by the names of terms: u == 1, v <= 0"
@@ -50,7 +50,7 @@ BLUE, RED = "#0072B2", "#B00020"
 
 
 def build(session: Session) -> None:
-    """The page, as it is now."""
+    """Build the page from the state of the session."""
     ui.add_css(STYLE + Path(__file__).with_name("page.css").read_text(encoding="utf-8"))
     ui.colors(primary=BLUE, negative=RED)
     with ui.element("div"):  # the framework puts it into the main element
@@ -67,7 +67,7 @@ def build(session: Session) -> None:
 
 
 def refresh(*changed: str) -> None:
-    """Show again what has changed: "file", "run", "result", "progress"."""
+    """Redraw the parts of the page that have changed: "file", "command", "run", "result", "progress"."""
     shown = {
         "file": (file_step, choice_steps),
         "command": (command_step,),
@@ -128,7 +128,7 @@ def file_step(session: Session) -> None:
 
 
 def _upload(session: Session, use: Callable[[Path], Awaitable[None]], **said: str) -> None:
-    """A box that files are dropped into, each of which is kept and then used."""
+    """A box that files are dropped into; each file is saved in the workspace and passed to `use`."""
 
     def refused(words: str) -> None:
         session.file_error = words
@@ -156,7 +156,7 @@ def _upload(session: Session, use: Callable[[Path], Awaitable[None]], **said: st
 
 @ui.refreshable
 def choice_steps(session: Session) -> None:
-    """What each channel is, what may be in the equation, and the button that looks for it."""
+    """Roles of channels, candidate terms and the Discover button; without a file, a button for an example."""
     if session.opened is None:
         text(
             "A file has a column for each channel, such as displacement, velocity, acceleration and force, and one for"
@@ -200,7 +200,7 @@ def stop_button(session: Session) -> Any:
 
 @ui.refreshable
 def channels(session: Session, several: bool) -> None:
-    """A row for each channel: its name, what it is like, its role, and its coordinate where there are several."""
+    """A row for each channel: name, range of values, role, unit, offset, and its coordinate if there are several."""
     choices = session.choices.roles
 
     def number(event: Any) -> None:
@@ -221,7 +221,7 @@ def channels(session: Session, several: bool) -> None:
             role.bind_value(choice, "role").on_value_change(command_step.refresh)
             for what in ("unit", "offset"):
                 made = text_field(what.capitalize(), "", choice, what)
-                made.props["aria-label"] = f"{what.capitalize()} of {name}"  # set so, a name is no option
+                made.props["aria-label"] = f"{what.capitalize()} of {name}"  # not by props(): it would parse the name
             if several:
                 numbers = list(range(1, max(MOST_COORDINATES, choice.coordinate) + 1))
                 made = ui.select(numbers, label="Coordinate").props("outlined dense options-dense")
@@ -239,7 +239,7 @@ def channels(session: Session, several: bool) -> None:
 
 @ui.refreshable
 def run_status(session: Session) -> None:
-    """How far it is, or how it ended."""
+    """Progress of the run, or its outcome."""
     with ui.element("div").props("aria-live=polite"):
         if session.busy == LOOKING:
             ui.linear_progress(show_value=False).props("indeterminate rounded")
@@ -261,7 +261,7 @@ def run_status(session: Session) -> None:
 
 @ui.refreshable
 def command_step(session: Session) -> None:
-    """The command that is run, as it is chosen now."""
+    """The command for the current choices."""
     try:
         words = shlex.join(["bayeq", *session.words()])
     except InputError as error:
@@ -289,7 +289,7 @@ def result_step(session: Session) -> None:
 
 
 def command(words: str) -> None:
-    """A command, which breaks between its options."""
+    """A command line, which wraps only between its options."""
     with ui.element("pre").classes("command"):
         for part in words.replace(" --", " \0--").split("\0"):
             text(part, tag="span")
@@ -314,7 +314,7 @@ def message(words: str, kind: str) -> None:
 
 
 def bullets(texts: Sequence[str]) -> None:
-    """A list; nothing of none."""
+    """A list of texts; nothing for no texts."""
     if texts:
         with ui.element("ul"):
             for words in texts:
@@ -322,14 +322,14 @@ def bullets(texts: Sequence[str]) -> None:
 
 
 def text_field(label: str, hint: str, target: Any, name: str) -> Any:
-    """A labelled field for a text, bound to an attribute or a key."""
+    """A labelled text field, bound to an attribute or a key `name` of `target`."""
     said = f'hint="{hint}"' if hint else ""
     made = ui.input(label).props(f"outlined dense spellcheck=false autocomplete=off {said}")
     return made.bind_value(target, name).on_value_change(command_step.refresh)
 
 
 def in_a_line(info: Mapping[str, Any]) -> str:
-    """What is in a file, in a line."""
+    """Rows, sampling and number of channels of a file, in one line."""
     time, count = info["time"], len(info["channels"])
     channels = f"{count} channel{'s' * (count != 1)}"
     if time["fs"] is None:

@@ -1,4 +1,4 @@
-"""One page for one browser on this computer: the one that was given its address, and no other page in it."""
+"""One page for one browser on this computer: requests need the token in the printed address."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from bayeq.app.session import LARGEST, Session, Workspace
 from bayeq.errors import InputError, needing
 from bayeq.resumable.posix import on_signal
 
-# Of an upload, beside the file [bytes].
+# Largest size of an upload request beyond its file [bytes].
 AROUND = 100_000
 
 # The page runs its framework's scripts, talks to this server, and loads nothing from elsewhere.
@@ -39,19 +39,18 @@ HEADERS = {
 
 
 class Guard:
-    """An ASGI application in front of another one; it answers all others with an error.
+    """ASGI middleware that passes permitted requests on to `app` and answers all others with an error.
 
-    A request has to name this server, ``127.0.0.1:8000``, as its host (a foreign name that was made to point here does
-    not), to come from no other page (Origin), and to bring the token: in the address at first, which is exchanged for a
-    cookie.
+    A request must name this server, ``127.0.0.1:8000``, as its host (which prevents DNS rebinding), come from no other
+    page (Origin), and bring the token: the first one in its address, later ones in the cookie that it is exchanged for.
     """
 
     def __init__(self, app: Any, host: str, token: str) -> None:
         self.app, self.host, self.token = app, host, token
-        self.cookie = f"bayeq_app_{host.rpartition(':')[2]}"  # ports share cookies
+        self.cookie = f"bayeq_app_{host.rpartition(':')[2]}"  # cookies are shared between ports
 
     async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
-        """Answer a request, or hand it on."""
+        """Refuse a request, exchange its token for a cookie, or pass it on."""
         from starlette.datastructures import MutableHeaders
         from starlette.requests import HTTPConnection
         from starlette.responses import PlainTextResponse, RedirectResponse
@@ -61,7 +60,7 @@ class Guard:
             return
 
         async def sent(message: Any) -> None:
-            """Add the headers that keep the page to itself."""
+            """Add the security headers `HEADERS`."""
             if message["type"] == "http.response.start":
                 message.setdefault("headers", [])
                 MutableHeaders(scope=message).update(HEADERS)
@@ -81,7 +80,7 @@ class Guard:
             await self.app(scope, receive, sent)
 
     def _refusal(self, scope: Any, request: Any) -> tuple[int, str] | None:
-        """Code and words for a request that is refused."""
+        """HTTP status and message with which a request is refused; None if it is allowed."""
         if request.headers.get("host") != self.host:
             return 421, f"this page answers to {self.host} only"
         origin = request.headers.get("origin")
@@ -98,7 +97,7 @@ class Guard:
         return None
 
     def _is_first(self, request: Any) -> bool:
-        """Whether the address is that which was printed."""
+        """Whether the request is for ``/`` with the printed token in its query, before there is a cookie."""
         return request.scope["path"] == "/" and self._is_token(request.query_params.get("token", ""))
 
     def _is_token(self, text: str) -> bool:
@@ -110,12 +109,12 @@ class Guard:
 #: The only address that is listened to.
 HOST = "127.0.0.1"
 
-# Windows that are open are waited for so long at the end [s].
+# Time that open connections are given to close at the end [s].
 GRACE = 1
 
 
 def serve(file: Path | None, port: int, browser: bool, say: Callable[[str], None]) -> None:
-    """Show the page until it is interrupted, on a port of this computer alone (0: a free one).
+    """Serve the page until an interrupt, on a port of this computer alone (0: a free one).
 
     A file is opened where it is; `say` is called with the address. InputError for a file or a port that cannot be used.
     """
@@ -130,8 +129,8 @@ def serve(file: Path | None, port: int, browser: bool, say: Callable[[str], None
     host = f"{HOST}:{listening.getsockname()[1]}"
     token = secrets.token_urlsafe(24)
     session = Session(Workspace())
-    tempfile.tempdir = str(session.workspace.path)  # also of what the framework stores of a file that arrives
-    on_signal("SIGHUP", lambda *_: signal.raise_signal(signal.SIGTERM))  # a closed terminal ends it as any end does
+    tempfile.tempdir = str(session.workspace.path)  # where the framework stores parts of uploads
+    on_signal("SIGHUP", lambda *_: signal.raise_signal(signal.SIGTERM))  # a closed terminal ends it as SIGTERM does
     address = f"http://{host}/?token={token}"
 
     def announce() -> None:
@@ -158,7 +157,7 @@ def _run(
 
     from bayeq.app.page import build, refresh
 
-    logging.getLogger("nicegui").setLevel(logging.ERROR)  # it warns where a busy computer is slow
+    logging.getLogger("nicegui").setLevel(logging.ERROR)  # it warns when a busy computer is slow
     session.changed = refresh
     api = FastAPI(openapi_url=None)
 

@@ -1,4 +1,4 @@
-"""What was opened, chosen and found, and the private folder for it; commands in processes of their own do the work."""
+"""State of the page (file, choices, result) and its private folder; commands in separate processes do the work."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from bayeq.app.choices import Choices, discover_command
 from bayeq.errors import InputError
 from bayeq.resumable.posix import KILL, has_ended, is_of_this_user, signal_group
 
-# Folders begin so, the number of the process follows.
+# Prefix of the folders; the process id follows.
 _PREFIX = "bayeq-app-"
 
-# The file of the example.
+# File name of the example.
 EXAMPLE = "example.csv"
 
 #: Largest file that is taken from the browser [bytes]; larger ones are opened where they are.
@@ -33,10 +33,10 @@ LARGEST = 200_000_000
 # Longest name of a file [characters], with its ending.
 LONGEST_NAME = 80
 
-# Lines about progress begin so.
+# Prefix of progress lines.
 _PROGRESS = "bayeq: progress: "
 
-#: What can be going on.
+#: Activities, as values of `Session.busy`.
 READING, LOOKING = "reading the file", "looking for the equation"
 
 
@@ -51,7 +51,7 @@ class Opened:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What was found: the number of the run, from 1, the folder with `EQUATION` and `REPORT`, and the record's name."""
+    """Result of a run: its number, from 1, the folder with `EQUATION` and `REPORT`, and the name of the record."""
 
     number: int
     folder: Path
@@ -63,7 +63,7 @@ class Workspace:
 
     def __init__(self) -> None:
         _remove_abandoned()
-        # resolved, as messages of commands that are run in it have no other name for it
+        # resolved: messages of commands that run in it use this path
         self.path = Path(tempfile.mkdtemp(prefix=f"{_PREFIX}{os.getpid()}-")).resolve()  # mkdtemp makes it private
 
     def new_folder(self) -> Path:
@@ -79,7 +79,7 @@ class Workspace:
 
 
 def _remove_abandoned() -> None:
-    """Remove folders of this user whose process was killed, and could not."""
+    """Remove folders of this user that a killed process left behind."""
     for folder in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*-*"):
         pid = folder.name.removeprefix(_PREFIX).partition("-")[0]
         with suppress(OSError):  # the folder has just gone
@@ -88,7 +88,7 @@ def _remove_abandoned() -> None:
 
 
 class Session:
-    """The state of the page; `changed` is called with those parts of the page that have to be shown again."""
+    """The state of the page; `changed` is called with the parts of the page that have to be redrawn."""
 
     def __init__(self, workspace: Workspace) -> None:
         self.workspace = workspace
@@ -97,7 +97,7 @@ class Session:
         self.further: list[Path] = []  # records of the same channels
         self.choices = Choices()
         self.result: Result | None = None
-        self.busy = ""  # what is being done
+        self.busy = ""  # current activity, empty if idle
         self.began = 0.0
         self.progress: list[str] = []
         self.file_error = self.run_error = self.note = ""
@@ -106,14 +106,14 @@ class Session:
         self._runs = 0
 
     async def open(self, path: Path, name: str, reading: Sequence[str] = ()) -> None:
-        """Look into a file, with options about reading; what was open before stays open if it cannot be read."""
+        """Open a file with reading options; the file that was open before stays open if this one cannot be read."""
         again = self.opened is not None and self.opened.path == path
         if self.busy:
             self.file_error = f"{name}: not opened, as something is being done: stop it first"
             self._forget(path)
             self.changed("file")
             return
-        # messages name the file as it is called here
+        # run in its folder, so that messages name an uploaded file without folders
         inside = self.workspace.path in path.parents
         outcome = await self._run(READING, ["info", self._name(path), "--json", *reading], path.parent)
         self.file_error = outcome.error or ("Stopped: the file was not opened." if outcome.stopped else "")
@@ -133,7 +133,7 @@ class Session:
         self.changed("file", "run", "result")
 
     async def open_example(self) -> None:
-        """Make a record of a known system, and look into it."""
+        """Simulate a record of a known system, and open it."""
         if self.busy:
             return
         folder = self.workspace.new_folder()
@@ -146,7 +146,7 @@ class Session:
             await self.open(folder / EXAMPLE, EXAMPLE)
 
     async def read_again(self) -> None:
-        """Look into the open file with what was chosen about reading."""
+        """Open the open file again with the chosen reading options."""
         if self.opened is not None:
             await self.open(self.opened.path, self.opened.name, self.choices.words)
 
@@ -157,18 +157,18 @@ class Session:
         self.changed("file", "command")
 
     def words(self) -> list[str]:
-        """The command that `discover` runs; InputError where roles make no chain."""
+        """The command that `discover` runs; InputError if the roles form no chain."""
         files = [] if self.opened is None else [self.opened.path, *self.further]
         return discover_command([self._name(path, k) for k, path in enumerate(files)], self.choices)
 
     def _name(self, path: Path, k: int = 0) -> str:
-        """How a command names a file: one that was dropped without its folder, and further ones by a number too."""
+        """Name of a file in a command: an uploaded one without its folder, a further record (`k` > 0) with a number."""
         if self.workspace.path not in path.parents:
             return str(path)
         return f"record{k + 1}_{path.name}" if k else path.name
 
     async def discover(self) -> None:
-        """Find the equations with what was chosen; an earlier result stays until there is another."""
+        """Find the equations with the current choices; an earlier result stays until there is a new one."""
         if self.busy or self.opened is None:
             return
         self.run_error, self.note, self.stopped = "", "", False
@@ -205,13 +205,13 @@ class Session:
             await self._child.stop()
 
     def close(self) -> None:
-        """End what is being done, and remove all files."""
+        """Kill the running command, and remove all files."""
         if self._child is not None:
             self._child.kill()
         self.workspace.remove()
 
     def seconds(self) -> float:
-        """For how long it is being done [s]."""
+        """Duration of the current activity [s]; 0 if idle."""
         return monotonic() - self.began if self.busy else 0.0
 
     async def _run(self, busy: str, words: Sequence[str], folder: Path) -> Outcome:
@@ -224,19 +224,19 @@ class Session:
             self._child, self.busy = None, ""
 
     def _say(self, line: str) -> None:
-        """A line of progress; warnings are in the report."""
+        """Add a progress line; warnings and errors are shown elsewhere (report, outcome)."""
         if not line.startswith(("bayeq: warning: ", "bayeq: error: ")):
             self.progress.append(line.removeprefix(_PROGRESS))
             self.changed("progress")
 
     def _forget(self, path: Path) -> None:
-        """Remove a file that was dropped; others are where they belong."""
+        """Remove an uploaded file with its folder; a file opened in place stays."""
         if self.workspace.path in path.parents:
             self.workspace.remove(path.parent)
 
 
 def safe_name(name: str) -> str:
-    """A name of a file from a browser as one that can be used, without folders and signs that mean something.
+    """Make the name of an uploaded file safe: no folders, no special characters, limited length.
 
     Examples
     --------
@@ -250,7 +250,7 @@ def safe_name(name: str) -> str:
         stem, inner = os.path.splitext(stem)
         ending = inner + ending
     ending = ending[:LONGEST_NAME]
-    # most file systems count bytes, of which a letter may have four
+    # file systems limit bytes, and a character may take four
     kept = stem.encode()[: max(LONGEST_NAME - len(ending), 1)].decode(errors="ignore")
     return (kept + ending).rstrip(" .") or "record"
 
@@ -260,14 +260,14 @@ def safe_name(name: str) -> str:
 # Longest line that is read [bytes].
 LINE = 1 << 24
 
-# A process that was asked to end is ended after this time [s].
+# A process that does not end at SIGTERM is killed after this time [s].
 GRACE = 3.0
 
 _ERROR = "bayeq: error: "
 
 
 class Outcome(NamedTuple):
-    """How a command ended: what it printed, why it failed (a line; empty if it did not), whether it was stopped."""
+    """How a command ended: its output, the error message (a line; empty if none), whether it was stopped."""
 
     out: str
     error: str = ""
@@ -275,7 +275,7 @@ class Outcome(NamedTuple):
 
 
 class Child:
-    """A command, the words after ``bayeq``, to be run once in a folder; `say` gets each line of its standard error."""
+    """A bayeq command with arguments `words`, run once in a folder; `say` gets each line of its standard error."""
 
     def __init__(self, words: Sequence[str], folder: Path, say: Callable[[str], None]) -> None:
         self.words, self.folder, self.say = list(words), folder, say
@@ -317,7 +317,7 @@ class Child:
         return lines
 
     async def stop(self) -> None:
-        """Ask it to end, with all that it started; end it if it does not."""
+        """Send SIGTERM to the command and its child processes; kill them if it does not end."""
         self.stopped = True
         if self._process is None:
             return
@@ -328,7 +328,7 @@ class Child:
             self.kill()
 
     def kill(self) -> None:
-        """End it at once, with all that it started."""
+        """Kill the command and its child processes."""
         self.stopped = True
         self._signal(KILL)
 
@@ -340,7 +340,7 @@ class Child:
 
 
 def _reason(lines: Sequence[str], code: int) -> str:
-    """Why a command failed, from its last words."""
+    """Error message of a failed command: its last error line, or its exit code with its last line."""
     for line in reversed(lines):
         if line.startswith(_ERROR):
             return line.removeprefix(_ERROR)

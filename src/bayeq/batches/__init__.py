@@ -1,1 +1,1 @@
-"""`batch`: the equations of many files (`run`), the table over them and what has drifted (`result`)."""
+"""`batch`: the equations of many files (`run`), the table of coefficients over files and their drift (`result`)."""

@@ -1,4 +1,4 @@
-"""`Batch`: what became of each file, the coefficients over files, and how far they vary, in a few lines."""
+"""`Batch`: the outcome of each file, the coefficients over files, and a summary of their spread."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-#: From a file to what `discover` takes; its text says how files are read.
+#: Function from a file to the `records` of `discover`; its `repr` says how files are read.
 Read = Callable[[Path], Any]
 
-# What `discover` takes beside the options of a question.
+# Arguments of `discover` that are not part of a `Question`.
 _BESIDE = {"records", "progress", "t", "stream", "client", "checkpoint"}
 
-# A slab that shrinks no coefficient: all terms are in, and the data say the rest.
+# Slab variance that shrinks no coefficient, used when all terms are included.
 _WIDE = 1e8
 
 
 def question(options: Mapping[str, Any]) -> Question:
-    """The question that is put to each file; InputError for an option that `discover` does not have or refuses."""
+    """The `Question` for each file; InputError for an option that `discover` does not have or refuses."""
     parameters = inspect.signature(discover).parameters
     known = {name: one.default for name, one in parameters.items() if name not in _BESIDE}
     for name in options:
@@ -55,7 +55,7 @@ def question(options: Mapping[str, Any]) -> Question:
 
 
 def digest(options: Mapping[str, Any], read: Read) -> str:
-    """A text that differs where options, the terms of a dictionary in a file, reading or the program do."""
+    """Hash of the options, the terms (a dictionary may be a file), the reading and the version of bayeq."""
     asked = question(options)
     content = {
         **{name: value for name, value in options.items() if name != "dictionary"},
@@ -102,14 +102,14 @@ def fixed_terms(options: Mapping[str, Any], common: Mapping[str, Any]) -> dict[s
 
 
 def _with_ranges(term: str, equation: Mapping[str, Any]) -> str:
-    """A term with the ranges in which the constants inside it were sought."""
+    """A term with the search ranges of its unknown constants written into it, ``{v0: 0.1..2.0}``."""
     for one in equation.get("constants", ()):
         term = term.replace(f"{{{one['name']}}}", f"{{{one['name']}: {one['low']!r}..{one['high']!r}}}")
     return term
 
 
 def _holds(options: Mapping[str, Any], constraint: str) -> bool:
-    """Whether a constraint, which has been checked, is on terms that are left."""
+    """Whether a constraint, valid for the full dictionary, is on terms of these options."""
     try:
         question({**options, "constraints": constraint})
     except UnknownNameError:
@@ -122,7 +122,7 @@ def _holds(options: Mapping[str, Any], constraint: str) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """What a file was when it was read."""
+    """State of a file when it was read: size, time of change and hash."""
 
     size: int  # in bytes
     mtime: int  # time of its last change [ns]
@@ -130,13 +130,13 @@ class Identity:
 
     @classmethod
     def of(cls, path: Path) -> Self:
-        """That of a file as it is now; OSError if it cannot be read."""
+        """The identity of a file now; OSError if it cannot be read."""
         with without_sheet(path)[0].open("rb") as file:
             state = os.fstat(file.fileno())
             return cls(state.st_size, state.st_mtime_ns, hashlib.file_digest(file, "sha256").hexdigest())
 
     def holds(self, path: Path) -> bool:
-        """Whether a file is unchanged: its size and time are, or else its content is."""
+        """Whether a file is unchanged: same size, and same time of change or else same hash."""
         try:
             state = without_sheet(path)[0].stat()
             if state.st_size != self.size:
@@ -147,7 +147,7 @@ class Identity:
 
 
 def files_of(sources: Sequence[str | os.PathLike[str]]) -> tuple[Path, ...]:
-    """Files, and those of folders, in the order of their numbers; InputError for none, or one that is named twice."""
+    """Files, with folders replaced by their files in numerical order; InputError for none, or one named twice."""
     paths = [as_path(source, "each of the files") for source in sources]
     for path in paths:
         try:
@@ -186,13 +186,13 @@ class BatchFile:
     Attributes
     ----------
     path : str
-        As it was given.
+        Path as given.
     status : "ok", "refused" or "failed"
         ``refused``: the file, or what is in it, cannot be used; ``failed``: anything else went wrong.
     message : str
-        Why, in a line; empty if all is well.
+        The reason in one line; empty if the status is ``ok``.
     content : mapping or None
-        The equations as `Equations.to_dict` gives them, and what a saved file has beside.
+        The content of a saved file: the equations as `Equations.to_dict` gives them, and further data.
     """
 
     path: str
@@ -207,7 +207,7 @@ class BatchFile:
         Raises
         ------
         InputError
-            There are none.
+            The file has no equations.
         """
         if self.content is None:
             raise InputError(f"{self.path}: has no equations: {self.message}")
@@ -215,12 +215,12 @@ class BatchFile:
 
 
 class Batch:
-    """What `batch` returns: its files in order, by position or in a loop, as `BatchFile`.
+    """Result of `batch`: a sequence of `BatchFile`, in the order of the files.
 
     Attributes
     ----------
     files : tuple of BatchFile
-        What became of each.
+        Outcome of each file.
     done : int
         How many files were done in this run; the others were in the store.
     """
@@ -253,8 +253,8 @@ class Batch:
         Returns
         -------
         DataFrame
-            ``order`` of the file, from 0; ``file``; ``target``; ``term``, of all that are in the common equation, or
-            without one in that of at least one file (``1`` is the constant, where it is written out); ``coef``, ``sd``,
+            ``order`` of the file, from 0; ``file``; ``target``; ``term``: all of the common equation, or without one
+            all shown for at least one file (``1`` is the constant, where it is written out); ``coef``, ``sd``,
             ``ci_low``, ``ci_high`` of the equation as it is printed, 0 where the term is not in it; ``pip``;
             ``included``, ``shown``; ``verdict`` on the equation; ``unit`` of the coefficient. With a common equation
             also ``common_coef``, ``common_ci_low``, ``common_ci_high``. Files without equations have no row.
@@ -270,7 +270,7 @@ class Batch:
         found = [(k, one.path, _terms(eq)) for k, one in enumerate(self.files) for eq in _equations(one.content)]
         shared = [term for equation in _equations(self._common) for term in _terms(equation)]
         shown = [_pair(term) for term in shared or chain(*(terms for *_, terms in found)) if term["shown"]]
-        # in the order in which files bring them, the constant last
+        # in order of first appearance, the constant last
         listed = sorted(dict.fromkeys(shown), key=lambda pair: pair[1] == CONSTANT)
         beside = {
             _pair(term): {f"common_{name}": term[name] for name in ("coef", "ci_low", "ci_high")} for term in shared
@@ -279,7 +279,7 @@ class Batch:
         for k, path, terms in found:
             own = {_pair(term): term for term in terms}
             for pair in filter(own.__contains__, listed):
-                own[pair]["shown"] |= self._common is not None  # the constant too, which no prior forces in
+                own[pair]["shown"] |= self._common is not None  # also the constant, which the prior does not force in
                 out.append({"order": k, "file": path, **own[pair], **beside.get(pair, {})})
         return out
 
@@ -300,7 +300,7 @@ class Batch:
     def __str__(self) -> str:
         """Verdicts, and a line for each term of each target.
 
-        In how many files it is in the equation; the coefficient in the first and the last of these, and the median;
+        The number of files whose equation has the term; its coefficient in the first and last of these, and the median;
         half the 95 % interval (median); and the spread: the standard deviation of the coefficient over files divided by
         the root mean square of its sd, about 1 if it is the same in all files.
         """
@@ -332,7 +332,7 @@ def _equations(content: Mapping[str, Any] | None) -> list[Mapping[str, Any]]:
 
 
 def _terms(equation: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Rows of the terms of an equation, of the constants inside them, and of its constant."""
+    """Table rows of an equation: its terms, the unknown constants inside shown terms, and the intercept."""
 
     def row(name: str, *numbers: Any, unit: Any = None) -> dict[str, Any]:
         coef, sd, ci95, pip, included, shown = numbers
@@ -353,7 +353,7 @@ def _terms(equation: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def _line(rows: Sequence[dict[str, Any]], term: str) -> str:
-    """A term over the files in whose equations it is."""
+    """Line of a term, over the files whose equation has it."""
     own = [row for row in rows if row["term"] == term and row["shown"]]
     coef, sd = np.array([row["coef"] for row in own]), np.array([row["sd"] for row in own])
     half = np.median([(row["ci_high"] - row["ci_low"]) / 2.0 for row in own])

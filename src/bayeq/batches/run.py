@@ -47,12 +47,12 @@ def batch(
     progress: Progress | None = None,
     **options: Any,
 ) -> Batch:
-    """The equations of many files, kept as they are found; what has been done is not done twice.
+    """Find the equations of many files; results are stored as they are found, and files are not done twice.
 
     Parameters
     ----------
     files : path or sequence of paths
-        A record each. A folder means all files in it whose suffix is that of a known format, in the order of the
+        One record each. A folder means all files in it whose suffix is that of a known format, in the order of the
         numbers in their names. The order is that of the table.
     store : path
         SQLite file of the results, made if it is not there. A file that has been done with the same options, the same
@@ -62,24 +62,24 @@ def batch(
         Worker processes; results do not depend on it.
     common : bool
         Find one equation from all files together first; each file then has the coefficients of its terms, and the
-        common coefficients stand beside them. All files are in memory at once.
+        common coefficients are listed with them. All files are in memory at once.
     read : mapping, optional
         Arguments of `bayeq.read`, such as ``{"units": {"x": "mm"}, "fs": 1000.0}``.
     progress : callable, optional
-        Called with (stage, done, total); the stage is "files" where files are done.
+        Called with (stage, done, total); the stage is "files" while files are done.
     **options
         Those of `discover`: channels, dictionary, method and so on.
 
     Returns
     -------
     Batch
-        What became of each file, with a table and a figure of coefficients over files.
+        Outcome of each file, with a table and a figure of coefficients over files.
 
     Raises
     ------
     InputError
-        Options that cannot be used, no files, one that is named twice, a store that is something else; no common
-        equation. A file that cannot be used is no error: see `Batch.refused`.
+        Options that cannot be used, no files, a file named twice, a `store` of another kind, or no common equation.
+        A file that cannot be used is no error: see `Batch.refused`.
     BayeqError
         A worker process was killed.
     KeyboardInterrupt
@@ -115,13 +115,13 @@ def batch(
     return run_batch(files_of(files), options, _Reading(dict(arguments)), place, jobs, common, progress)
 
 
-# What `bayeq.read` takes beside the file.
+# Arguments of `bayeq.read` other than the path.
 _ARGUMENTS = [name for name in inspect.signature(read).parameters if name != "path"]
 
 
 @dataclass(frozen=True)
 class _Reading:
-    """Files by `bayeq.read`."""
+    """Reads files by `bayeq.read` with fixed arguments; without any, `discover` reads them."""
 
     arguments: Mapping[str, Any] = field(default_factory=dict)
 
@@ -138,7 +138,7 @@ def run_batch(
     common: bool = False,
     progress: Progress | None = None,
 ) -> Batch:
-    """As `batch`, where `read` turns a file into what `discover` takes; the `repr` of it says how."""
+    """As `batch`, with a function `read` from a file to the `records` of `discover`; its `repr` identifies it."""
     if not (isinstance(jobs, int) and not isinstance(jobs, bool) and 1 <= jobs <= MAX_JOBS):
         raise InputError(f"jobs is a number of processes, 1 to {MAX_JOBS}, got {jobs!r}")
     step = progress or silent
@@ -163,7 +163,7 @@ def run_batch(
             for (one, identity), done, total in answers:
                 key = _key(one.path, asked)
                 kept.add(key, one, identity)
-                left.remove(key)  # one that is refused is not tried twice
+                left.remove(key)  # a refused file is not tried twice
                 step(FILES, done, total)
         found = [kept.outcome(path, key) for key, path in places.items()]
     return Batch(tuple(one for one in found if one is not None), shared, done)
@@ -186,15 +186,15 @@ class BatchStore(ResultStore):
     table, key, again = "files", {"path": "TEXT", "options": "TEXT"}, "REPLACE"
 
     def add(self, key: Key, one: BatchFile, identity: Identity | None) -> None:
-        """Write what became of a file, and what this was when it was read, in place of what was there."""
+        """Store the outcome of a file and its identity when read, replacing an earlier row."""
         state = (None, None, None) if identity is None else (identity.size, identity.mtime, identity.sha256)
         answer = None if one.content is None else json.dumps(one.content, allow_nan=False)
         self.put([(*key, *state, one.status, _text(one.message), answer)])
 
     def done(self, key: Key, path: Path | None = None) -> bool:
-        """Whether a file has been done with these options, and is unchanged.
+        """Whether a file has been done with these options, and is unchanged since.
 
-        Without `path` it is that of the key, which is another where bytes of it are no characters.
+        `path` defaults to that in the key, which differs from it if the name has bytes that are no characters.
         """
         rows = self._read(f"SELECT size, mtime, sha256 FROM files WHERE {self._is_key} AND status = 'ok'", key)
         return any(Identity(*row).holds(path or Path(key[0])) for row in rows)
@@ -207,11 +207,11 @@ class BatchStore(ResultStore):
         return None
 
     def add_common(self, options: str, contents: str, answer: str) -> None:
-        """Write the common equation, as JSON, of files of these contents."""
+        """Store the common equation, as JSON, of the files whose `_contents` hash is `contents`."""
         self._write("INSERT OR REPLACE INTO common VALUES (?, ?, ?)", (options, contents, answer))
 
     def common(self, options: str, contents: str) -> Mapping[str, Any] | None:
-        """The common equation of files of these contents, if it has been found."""
+        """The stored common equation of the files whose `_contents` hash is `contents`, or None."""
         with self._guard():
             rows = self._read("SELECT answer FROM common WHERE options = ? AND contents = ?", (options, contents))
             return dict(json.loads(rows[0][0])) if rows else None
@@ -222,18 +222,18 @@ def _key(path: str | Path, options: str) -> Key:
 
 
 def _text(text: str) -> str:
-    """Text as SQLite takes it: bytes of a file's name that are no characters are written out."""
+    """Text that SQLite accepts: bytes of a file's name that are no characters are escaped."""
     return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
 def _work(options: Mapping[str, Any], read: Read, path: Path) -> tuple[BatchFile, Identity | None]:
-    """What becomes of one file, in a worker or in this process, and what this was when it was read."""
+    """Find the equations of one file, in a worker or in this process; returns outcome and identity of the file."""
     identity, status, message, answer = None, "ok", "", None
     try:
         identity = Identity.of(path)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", BayeqWarning)  # they are kept in the answer
-            # plain JSON, or else it is this file that fails
+            # converted to plain JSON here, so that an error is that of this file
             answer = json.loads(json.dumps(to_saved(discover(read(path), **options)), allow_nan=False))
     except OSError as error:
         status, message = "refused", f"{path}: {error.strerror or error}"
@@ -247,11 +247,11 @@ def _work(options: Mapping[str, Any], read: Read, path: Path) -> tuple[BatchFile
 def _common(
     store: BatchStore, paths: Sequence[Path], options: Mapping[str, Any], read: Read, step: Progress
 ) -> Mapping[str, Any]:
-    """The equation of all files that can be read, together; from the store where these have not changed."""
+    """The common equation of all readable files; from the store if the files have not changed."""
     asked = digest(options, read)
     known: dict[Path, Identity] = {}
     for path in paths:
-        with suppress(OSError):  # which is found again where it is read
+        with suppress(OSError):  # `_sources` meets the error again
             known[path] = Identity.of(path)
     if (found := store.common(asked, _contents(known.values()))) is not None:
         return found  # all were used then, and none has to be read
@@ -271,14 +271,14 @@ def _common(
 
 
 def _contents(identities: Iterable[Identity]) -> str:
-    """A text that differs where the contents of files do."""
+    """Hash of the contents of files."""
     return hashlib.sha256("".join(one.sha256 for one in identities).encode()).hexdigest()
 
 
 def _sources(
     paths: Sequence[Path], known: Mapping[Path, Identity], options: Mapping[str, Any], read: Read, step: Progress
 ) -> tuple[list[Any], list[Identity]]:
-    """What is in the files that can be used, and what these were when they were read; of some that is `known`."""
+    """Records and identities of the readable files; the identity of an unchanged file is taken from `known`."""
     roles = question(options).roles
     sources: list[Any] = []
     used: list[Identity] = []
@@ -295,7 +295,7 @@ def _sources(
                 for name in (*roles.measured, *roles.inputs) if isinstance(part, Record) else ():
                     _ = part[name]
         except (BayeqError, OSError) as error:
-            why.append(one_line(error))  # it is refused again, with its message, where each file is done
+            why.append(one_line(error))  # refused again, with this message, when each file is done
             continue
         sources += parts
         used.append(identity)

@@ -38,7 +38,7 @@ from bayeq.resumable.posix import address_space
 if TYPE_CHECKING:
     from bayeq.inspection.contents import RecordInfo
 
-# The variable in which the script of `bayeq completion` asks for completions, after click's rule.
+# Environment variable by which the script of `bayeq completion` asks for completions, named by click's rule.
 COMPLETE = "_BAYEQ_COMPLETE"
 
 
@@ -183,7 +183,7 @@ for command in COMMANDS:
 
 
 def _show_warning(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
-    if category is RuntimeWarning:  # a number overflowed on the way: what it is part of is judged where it ends
+    if category is RuntimeWarning:  # an intermediate overflow: the final result is checked for finite values
         return
     label = "warning" if issubclass(category, BayeqWarning) else category.__name__
     say(f"bayeq: {label}: {printable(one_line(message))}")

@@ -1,4 +1,4 @@
-"""``bayeq discover``: read records, find equations, print and write them; ``bayeq batch``: those of many files."""
+"""``bayeq discover``: read records, find equations, print and write them; ``bayeq batch``: the same for many files."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ Examples:
 
 
 class _Method(click.Choice):  # type: ignore[type-arg]  # generic in the latest click only
-    """The name of an engine; those of other packages are looked for when no other has it."""
+    """The name of an engine; engines of other packages are loaded only for a name that bayeq does not have."""
 
     def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> str:
         if value not in ENGINES:
@@ -214,8 +214,8 @@ def discover(files: tuple[Path, ...], as_json: bool, verbose: bool, dask: str | 
     read = {file: state_of(file) for file in plain_files(files)}
     with opt.cluster_client(dask) as client, Progress(verbose) as progress:
         records, source = source_of(reading, files, used_channels(options), paths, outputs.refine, progress)
-        if not options["chains"] and not options["target"]:  # which may be badly written
-            for name in used_channels(options):  # one that a record lacks is refused before the import below
+        if not options["chains"] and not options["target"]:  # `discover` reports malformed ones
+            for name in used_channels(options):  # refuse an absent channel before the import below
                 for record in records:
                     _ = record[name]
         outputs.check_records(records, options["discrete"])
@@ -226,7 +226,7 @@ def discover(files: tuple[Path, ...], as_json: bool, verbose: bool, dask: str | 
             with warnings.catch_warnings(record=True) as said:
                 answer = run(source, **options, progress=progress, client=client, stream=reading.stream)
             outputs.write(answer, records, read, options["holdout"], as_json, progress, verbose)
-        finally:  # behind the verdict
+        finally:  # warnings follow the verdict
             for one in said:
                 warnings.showwarning(one.message, one.category, one.filename, one.lineno)
 
@@ -239,7 +239,7 @@ def source_of(
     refine: bool,
     progress: Callable[[str, int, int], None],
 ) -> tuple[Sequence[Record], Any]:
-    """The records that are looked at, and what `bayeq.discover` takes: these, or all rows of long ones."""
+    """Records for checks and outputs, and the `records` of `bayeq.discover`: the same, or the extents of long files."""
     if not reading.streamed(files):
         records = reading.records(files, used, paths, progress)
         return records, records
@@ -284,7 +284,7 @@ def used_channels(options: Mapping[str, Any]) -> list[str]:
 
 MANY = "Many files"
 
-# Files that are named where they have no equations; all are in --json.
+# Files without equations that are named, at most; --json names all.
 NAMED = 20
 
 BATCH_EXAMPLES = """
@@ -337,7 +337,7 @@ def batch(
     used.
     """
     options["join"] = False
-    reading = Reading.of(options)  # which takes its options out
+    reading = Reading.of(options)  # removes the reading options from `options`
     options, paths = opt.named_channels(options)
     options = cleaned(options)
     if STANDARD_INPUT in files:
@@ -370,7 +370,7 @@ def batch(
     _name_refused(found.refused, len(found))
 
 
-# All that says how `discover` reads and what it looks for, but not what it writes; files are not joined.
+# The options of `discover` in groups of the help, without those for output and without --join.
 batch.params[1:1] = [
     one for one in discover.params if getattr(one, "group", "") not in ("", opt.WRITTEN) and one.name != "join"
 ]
@@ -378,7 +378,7 @@ batch.params[1:1] = [
 
 @dataclass(frozen=True)
 class _FileReading:
-    """One file as the options say; its text is part of what tells batches apart."""
+    """Reads one file by the options; its `repr` enters the digest that distinguishes batches."""
 
     reading: Reading
     used: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""What the options of the commands have in common: groups of the help, values, and channels by name, header or path."""
+"""Shared parts of the command options: help groups, parsing of values, channels by name, header or path."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from bayeq.cli.terminal import COMPILING, require_address_space, say
 from bayeq.errors import InputError
 from bayeq.kernels import announce_compiling
 
-# The group of options that say what is written.
+# Help group of the options for output.
 WRITTEN = "What to write"
 
-# The end of the help of options that write either.
+# End of the help text of options that write a table or a figure.
 TABLE_OR_FIGURE = ": a table (.csv) or a figure (.png, .svg, .pdf)."
 
-#: What adds an option to the function of a command.
+#: Decorator that adds an option to the function of a command.
 Decorator = Callable[[Any], Any]
 
 # Options that name the channels of an oscillator.
 ROLES = ("displacement", "velocity", "acceleration", "force")
 
-# An index of a path, which no name has.
+# An index in the path of an array, such as [0] or [*]; names of channels have none.
 _INDEX = re.compile(r"\[(?:\*|\d+(?:,\d+)?)\]")
 
 
@@ -52,7 +52,7 @@ class _Option(click.Option):
         self.group = group
 
 
-# Options, of which defaults are shown where there are any, and those of the groups of the help.
+# Decorators for options, with defaults shown in the help; those below `option` set the help group.
 option = partial(click.option, show_default=True, cls=_Option)
 measured = partial(option, group="What is measured")
 altered = partial(option, group="What is done to it first")
@@ -63,7 +63,7 @@ file_written = partial(written, type=FILE)
 
 
 def together(*options: Decorator) -> Decorator:
-    """Several options as one, in this order."""
+    """Combine the decorators of several options in one, in this order."""
     return lambda command: reduce(lambda made, add: add(made), reversed(options), command)
 
 
@@ -71,7 +71,7 @@ json_option = partial(option, "--json", "as_json", is_flag=True, help="Print one
 
 
 def cluster_client(address: str | None) -> AbstractContextManager[Any]:
-    """The client of the Dask cluster at an address; None where none is given."""
+    """Context with the client of the Dask cluster at an address; with None if no address is given."""
     if address is None:
         return nullcontext()
     from bayeq.discovery.streaming.cluster import connected
@@ -83,7 +83,7 @@ class Command(click.Command):
     """A command that needs numerical libraries; its help lists options in groups, and examples as they are written."""
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run it, if there is memory for it; it takes longer where kernels have to be compiled first."""
+        """Run the command after a check of the memory limit; print a line before kernels are compiled."""
         require_address_space()
         announce_compiling(lambda: say(COMPILING))
         return super().invoke(ctx)
@@ -106,7 +106,7 @@ class Command(click.Command):
 
 
 def number(where: str, text: str) -> float:
-    """A number; an InputError if it is not."""
+    """Parse a number; an InputError if that fails."""
     try:
         return float(text)
     except ValueError:
@@ -114,7 +114,7 @@ def number(where: str, text: str) -> float:
 
 
 def pair_of_numbers(where: str, text: str) -> tuple[float, float]:
-    """``LO:HI`` as two numbers; an InputError if it is not."""
+    """Parse ``LO:HI`` as two numbers; an InputError for any other text."""
     low, colon, high = text.partition(":")
     if not colon:
         raise InputError(f"{where} {text[:60]!r}: give two numbers with a colon between, as in 1:50")
@@ -122,7 +122,7 @@ def pair_of_numbers(where: str, text: str) -> tuple[float, float]:
 
 
 def by_name(where: str, texts: Iterable[str], how: str, split: Callable[..., Any] = str.partition) -> dict[str, str]:
-    """Values by name, of texts ``name=value``; an InputError says `how` to write them, or that one is given twice."""
+    """Parse texts ``name=value``; InputError for a malformed text (it says `how` to write it) or a repeated name."""
     out: dict[str, str] = {}
     for text in texts:
         name, equals, value = (part.strip() for part in split(text, "="))
@@ -135,7 +135,7 @@ def by_name(where: str, texts: Iterable[str], how: str, split: Callable[..., Any
 
 
 def named_channels(options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
-    """The options of a command with channels by their names, and paths by name, if one is written ``name=path``.
+    """Options with ``name=path`` replaced by the name, and the paths by name (empty if no option has a path).
 
     InputError for a name that terms cannot use, or one with two paths.
     """
@@ -153,14 +153,14 @@ def named_channels(options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str
 
 
 def channel_name(name: str) -> str:
-    """A channel by its name or by its header in the file, such as ``Displ. (m)``."""
+    """Name of a channel that is given by its name or by its header in the file, such as ``Displ. (m)``."""
     from bayeq.records.names import channel_name as of_header
 
     return of_header(name)
 
 
 def path_of(text: str | None) -> str | None:
-    """The path of a channel whose name does not matter, as of time: ``t=Time_id[0]`` is that of ``Time_id[0]``.
+    """The path of a channel whose name is not used, such as time: ``Time_id[0]`` of ``t=Time_id[0]``.
 
     Examples
     --------
@@ -179,11 +179,11 @@ class Names:
         self.any_path = False
 
     def parts(self, text: str) -> str:
-        """A chain, or a single channel, without the paths."""
+        """Names of a chain, or of a single channel; paths are stored in `paths`."""
         return ":".join(map(self.name, text.split(":")))
 
     def name(self, text: str) -> str:
-        """The name of a channel, whose path is kept."""
+        """The name of a channel; its path is stored in `paths`."""
         from bayeq.records.names import clean_name
 
         mark = "~" if text.strip().startswith("~") else ""

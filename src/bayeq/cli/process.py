@@ -1,4 +1,4 @@
-"""The command as a process, in which Ctrl-C at any moment is one line; `bayeq.cli.app.main` leaves signals alone."""
+"""The command as a process, in which Ctrl-C prints one line at any moment; `bayeq.cli.app.main` sets no handler."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ PAUSE = 0.02
 class _Interrupts:
     """Turns the signal of Ctrl-C into `KeyboardInterrupt`, where that does no harm.
 
-    Within an import it waits for its end: libraries take an interrupted import for one that is missing. So it does
-    while a kernel is compiled or loaded: LLVM calls back into Python, goes on where a callback was interrupted, and the
-    kernel that it then has crashes. Where Python can raise nothing, in other callbacks from C, it is tried again.
+    During an import the interrupt is delayed, because libraries take an interrupted import for a missing package. It is
+    delayed too while a kernel is compiled or loaded: LLVM calls back into Python, ignores that a callback was
+    interrupted, and makes a kernel that crashes. In other callbacks from C, where Python cannot raise, it is repeated.
     """
 
     def __init__(self) -> None:
@@ -40,21 +40,21 @@ class _Interrupts:
         sys.unraisablehook = self.not_raised
 
     def interrupt(self, number: int, frame: FrameType | None) -> None:
-        """What runs when the signal arrives, or when it is tried again."""
+        """Signal handler: of Ctrl-C, and of the alarm that repeats a delayed interrupt."""
         self.arrived = True
         if _has_to_end(frame) and alarm(PAUSE):
             return
         raise KeyboardInterrupt
 
     def not_raised(self, error: sys.UnraisableHookArgs) -> None:
-        """What Python calls with an exception that it can raise nowhere."""
+        """Hook for exceptions that Python cannot raise: an interrupt is repeated later, others are reported."""
         if not issubclass(error.exc_type, KeyboardInterrupt):
             sys.__unraisablehook__(error)
         else:
             alarm(PAUSE)
 
     def finish(self) -> None:
-        """From here on Ctrl-C ends the process without a word."""
+        """Restore the default handler: from here on Ctrl-C ends the process silently."""
         if signal.getsignal(signal.SIGINT) == self.interrupt:
             signal.signal(signal.SIGINT, signal.SIG_DFL)
         alarm(0.0)
@@ -83,7 +83,7 @@ def run() -> int:
 
         return main()
     except BaseException as error:
-        # Libraries wrap an interrupt, or fail of what it left behind.
+        # Libraries wrap an interrupt in their own exception, or fail as a consequence of it.
         if not interrupts.arrived and not isinstance(error, KeyboardInterrupt):
             raise
         say("bayeq: interrupted")

@@ -1,4 +1,4 @@
-"""Files to records, as the options say: read (units, time), joined with others, rows taken, offsets removed."""
+"""Turn files into records by the options: read (units, time), join files, take rows, remove offsets."""
 
 from __future__ import annotations
 
@@ -62,14 +62,14 @@ _OTHERS = (
 )
 
 
-# Options that `Reading.of` takes: of files alone, and all.
+# Options of `Reading.of`: those for reading a single file, and all.
 file_options = opt.together(*_OF_FILES)
 reading_options = opt.together(*_OF_FILES, *_OTHERS)
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What the options about reading say; offsets of None are means, a `stream` of None goes by the size of files."""
+    """Values of the reading options; an offset of None is the mean, `stream=None` decides by the size of the files."""
 
     time: str | None = None
     fs: float | None = None
@@ -85,7 +85,7 @@ class Reading:
 
     @classmethod
     def of(cls, options: dict[str, Any]) -> Self:
-        """Take the options about reading out of all of a command; one that is badly written is an InputError."""
+        """Remove the reading options from the options of a command and parse them; InputError for a malformed one."""
         given = {one.name: options.pop(one.name) for one in fields(cls) if one.name in options}
         if given["skip"] < 0:
             raise InputError(f"--skip {given['skip']}: give a number of lines, 0 or more")
@@ -112,7 +112,7 @@ class Reading:
         return STANDARD_INPUT not in files and streamed_unasked(files)
 
     def clustered(self) -> Reading:
-        """The same on a cluster, where every file is read some rows at a time."""
+        """The same options for a Dask cluster, where every file is read some rows at a time."""
         if self.stream is False:
             raise InputError("--dask reads files some rows at a time: leave out --no-stream")
         return replace(self, stream=True)
@@ -162,7 +162,7 @@ class Reading:
         records = [record for part in parts for record in part]
         if self.join:
             known = sorted({name for record in records for name in record.names})
-            for name in self.units:  # of a channel that none of the files has
+            for name in self.units:  # unit of a channel that no file has
                 if opt.channel_name(name) not in known and name not in ("t", self.time):
                     raise UnknownNameError("channel", name, known, "--units")
             records = [record if self.rows is None else rows_of(record, self.rows) for record in _join(parts)]
@@ -186,7 +186,7 @@ class Reading:
             try:
                 found = read(file, **options)
             except FileFormatError:
-                # Perhaps it is in a column that is not used, where words are welcome.
+                # The fault may be words in an unused column: read the used columns only.
                 found = read(file, columns=[*used, *self.units] if used else None, **options)
         records = found if isinstance(found, list) else [found]
         if self.fs is not None:
@@ -241,7 +241,7 @@ def _offsets(texts: Sequence[str]) -> dict[str, float | None]:
 
 
 def plain_files(files: Sequence[Path]) -> list[Path]:
-    """Files without the sheets that are named behind them."""
+    """The files, without the sheet that is named after a path as in ``book.xlsx[Run 1]``."""
     if not any(file.name.endswith("]") for file in files):
         return list(files)
     from bayeq.records.formats.excel import without_sheet
@@ -261,7 +261,7 @@ def _require_different(files: Sequence[Path]) -> None:
 
 @contextmanager
 def _opened(file: Path) -> Iterator[Path]:
-    """The file; of standard input a copy, which is read as often as it takes, named so in messages."""
+    """The file itself, or for standard input a temporary copy, which can be read several times."""
     if file != STANDARD_INPUT:
         yield file
         return
@@ -280,7 +280,7 @@ def _opened(file: Path) -> Iterator[Path]:
 
 
 def _read_those_there(file: Path, paths: dict[str, str], options: Mapping[str, Any]) -> Record | list[Record]:
-    """The channels that a file has, of those of several files, and their units."""
+    """Read the channels of `paths` that this file has; those of other files, and their units, are left out."""
     from bayeq.records import read
 
     units = dict(options["units"])
@@ -298,7 +298,7 @@ def _read_those_there(file: Path, paths: dict[str, str], options: Mapping[str, A
 
 
 def _join(parts: Sequence[Sequence[Record]]) -> list[Record]:
-    """Join the records of several files, the first of each with the first of the others and so on."""
+    """Join the records of several files: the first records of all files, then the second ones, and so on."""
     from bayeq.records import join
 
     if len(parts) < 2:
@@ -310,13 +310,13 @@ def _join(parts: Sequence[Sequence[Record]]) -> list[Record]:
 
 
 def _require_rate_of_file(file: Path, paths: Mapping[str, str], options: Mapping[str, Any]) -> None:
-    """Refuse an --fs that contradicts the time of a file, of which only the channels that are named are read."""
+    """Refuse an --fs that contradicts the time in a file from which only the named channels are read."""
     from bayeq.records import read
 
     try:
         found = read(file, channels=paths, **{**options, "fs": None})
     except InputError:
-        return  # what looks like time is none: the rate that is given is all there is
+        return  # the file has no usable time: only the given rate is known
     for record in found if isinstance(found, list) else [found]:
         if record.fs is not None and not 0.99 < record.fs / options["fs"] < 1.01:
             raise InputError(
@@ -333,7 +333,7 @@ def _require_rate(record: Record, name: str) -> None:
 
     if record.n > 2 and bool((np.diff(record[name]) < 0.0).all()):
         raise InputError(f"{record.name}: time runs backwards in column {name!r}; sort the rows by it")
-    # a unit such as ms is that of the column, which is a channel here
+    # the column is a channel here, and its unit (such as ms) is that of time
     step = None if record.fs is None else other_step(record[name], record.units.get(name, "s"), record.fs)
     if step is not None:
         raise InputError(

@@ -41,7 +41,7 @@ _verbose = opt.option(
     "--verbose", is_flag=True, help="Say on standard error what is being done, and how long it takes."
 )
 
-# How values of `bayeq plan` by name are written.
+# Advice on values by name of `bayeq plan`.
 _HOW = "give a name and a value, as in x=0.01"
 
 
@@ -139,7 +139,7 @@ def predict(
 
 
 def paths_of(texts: Sequence[str], names: Sequence[str]) -> dict[str, str]:
-    """Where every channel is in the files, from ``x=Weg``; empty if nothing is said."""
+    """Header or path of every channel in the files, from texts ``x=Weg``; empty if no text is given."""
     given = opt.by_name("--channel", texts, "write a channel of the equations and its name there, x=Weg")
     for name in given:
         if name not in names:
@@ -289,7 +289,7 @@ def _numbers(where: str, texts: Sequence[str]) -> dict[str, float]:
 
 
 def _amplitude(texts: Sequence[str]) -> Any:
-    """A number, a range, or a mapping of them by input."""
+    """Parse amplitudes: a number, a range, a mapping of these by input, or None without texts."""
 
     def value(text: str) -> float | tuple[float, float]:
         return opt.pair_of_numbers("--amplitude", text) if ":" in text else opt.number("--amplitude", text)

@@ -120,7 +120,7 @@ def figures(folder: Path, seed: int, systems: str) -> None:
         click.echo(str(path))
 
 
-# The options of the benchmarks that others have set.
+# Options of the published benchmarks (dysts, ODEBench).
 _of_others = together(
     option("--systems", help="Systems, separated by commas; by default all."),
     option("--seeds", "records", type=int, default=1, help="Records of each system and noise."),

@@ -1,4 +1,4 @@
-"""Standard streams, progress, and what `bayeq discover` makes of its equations: files, parameters, the print."""
+"""Standard streams, progress, and the outputs of `bayeq discover`: printed equations, parameters, files."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 # Exit code of an interrupted command, as shells count it.
 INTERRUPTED = 130
 
-# What a discovery takes that compiles its kernels, with one thread: 582 MB, of which 264 MB are in use.
+# Smallest address space [MB]: a discovery that compiles its kernels takes 582 with one thread (264 in use).
 LEAST = 640
 
 
@@ -52,13 +52,13 @@ def prepare_streams() -> None:
 
 
 def say(text: str) -> None:
-    """Print a line on standard error, if it can be written to: the work goes on without."""
+    """Print a line on standard error; the work goes on if that fails."""
     with suppress(OSError):
         print(text, file=sys.stderr)
 
 
 def require_address_space() -> None:
-    """Refuse a limit that no command can work with (BayeqError); under others use one thread: each takes its share."""
+    """Raise BayeqError if the address space is limited below `LEAST`; under any limit use one thread (less memory)."""
     most = address_space()
     if most is None:
         return
@@ -71,7 +71,7 @@ def require_address_space() -> None:
 
 
 def no_memory() -> str:
-    """What to say where memory has run out."""
+    """Message for a lack of memory, which names the limit of the address space if there is one."""
     most = address_space()
     if most is None:
         return "not enough memory; use fewer samples or fewer terms"
@@ -83,10 +83,10 @@ def no_memory() -> str:
 
 COMPILING = "compiling what runs for the first time after installation: up to a minute ..."
 
-#: Lines about progress begin so.
+#: Prefix of progress lines.
 PROGRESS = "bayeq: progress: "
 
-#: Stages as lines about progress call them; others by their names.
+#: Text of stages in progress lines; other stages are printed by name.
 STAGES = {
     "reading": "reading the file",
     "states": "smoothing the motion",
@@ -99,20 +99,20 @@ STAGES = {
 # Work that takes longer shows its progress [s].
 PATIENCE = 1.0
 
-# A stage that goes on is named again after this time [s].
+# A stage that lasts longer is printed again after this time [s].
 INTERVAL = 10.0
 
-# Of this many the rate is said.
+# From this total on the rate is printed.
 MANY = 1000
 
 
 class Progress(AbstractContextManager["Progress"]):
-    """What is being done, called with (stage, done, total) and watched by a thread; `verbose` names each stage."""
+    """Progress display: called with (stage, done, total), refreshed by a thread; `verbose` prints each stage."""
 
     def __init__(self, verbose: bool = False) -> None:
         self.verbose = verbose
         self.stage, self.done, self.total = "", 0, 0
-        self.first = 0  # what was done when the stage began, of a run that goes on
+        self.first = 0  # `done` at the start of the stage, above 0 if a run is resumed
         self.began = self.said = clock.monotonic()
         self.named = ""  # the stage that was named last
         self.bar: Any = None
@@ -139,7 +139,7 @@ class Progress(AbstractContextManager["Progress"]):
                 self.bar.update(self.bar.task_ids[0], description=self._described(), completed=done, total=total)
 
     def close(self) -> None:
-        """Take the bar away, and be silent until the next call."""
+        """Remove the progress bar, and print nothing until the next call."""
         self.stop.set()
         if self.watch is not None:
             self.watch.join()
@@ -176,7 +176,7 @@ class Progress(AbstractContextManager["Progress"]):
                 self.bar.start()
                 self.bar.add_task(self._described(), completed=self.done, total=self.total)
         elif self.stage != self.named or now - self.said >= INTERVAL:
-            if self.stage == self.named or not self.verbose:  # which has named it when it began
+            if self.stage == self.named or not self.verbose:  # verbose: printed at its start
                 done, spent, left = self.done - self.first, now - self.began, ""
                 if self.total > 1 and done > 0 and spent > 0.0:
                     rate = f"{done / spent:,.0f} a second, " if self.total >= MANY else ""
@@ -196,10 +196,10 @@ def _is_terminal() -> bool:
 
 Kind = Literal["any", "table", "figure", "table or figure", "page"]
 
-# What parameters of several coordinates together are called.
+# Key of the parameters of several coordinates together.
 MODES = "modes"
 
-# What a file is for, and of which kind it is, by option.
+# Purpose (for messages) and kind of the output file of each option.
 PURPOSES: Mapping[str, tuple[str, Kind]] = {
     "save": ("to save the equations to", "any"),
     "sensitivity": ("for their sensitivity", "table or figure"),
@@ -211,7 +211,7 @@ PURPOSES: Mapping[str, tuple[str, Kind]] = {
 
 @dataclass(frozen=True, slots=True)
 class Outputs:
-    """What was asked for; see the options."""
+    """Requested outputs; see the options of `bayeq discover`."""
 
     save: Path | None
     sensitivity: Path | None
@@ -224,7 +224,7 @@ class Outputs:
     explain: bool
 
     def check(self, files: Sequence[Path], options: Mapping[str, Any], as_json: bool) -> None:
-        """Refuse, before the work, what could not be done after it; `files` are the records that are read."""
+        """Raise InputError, before the work, for outputs that cannot be made after it; `files` are the input files."""
         if self.explain and as_json:
             raise InputError("--explain explains the text, and --json prints none; leave one of them out")
         if self.refine and options.get("target"):
@@ -252,7 +252,7 @@ class Outputs:
             require_spike_slab(options["method"])
 
     def check_records(self, records: Sequence[Record], discrete: bool) -> None:
-        """Refuse records without time where it is needed, which it is not of maps."""
+        """Raise InputError for records without time if an output needs it; outputs of maps do not."""
         from bayeq.records import counts_rows
 
         if self.physical and any(map(counts_rows, records)):
@@ -275,9 +275,9 @@ class Outputs:
         progress: Progress,
         verbose: bool = False,
     ) -> None:
-        """Print the equations, then write the files; `files`, those that were read, come with their state before.
+        """Print the equations, then write the outputs; `files` are the input files with their state before reading.
 
-        Each is done whatever becomes of the others; InputError at the end for those that cannot be written.
+        A failed output does not stop the others; InputError at the end for all that cannot be written.
         """
         from bayeq.states.prepare import numbered
 
@@ -304,7 +304,7 @@ class Outputs:
 
 
 def _tried(path: Path, write: Callable[[Path], object], progress: Progress) -> str:
-    """Write a file; why it cannot be written, empty if it was."""
+    """Write a file; returns the reason if that fails, else an empty text."""
     progress(f"writing {path.name}", 0, 1)
     try:
         write(path)
@@ -318,11 +318,11 @@ def _tried(path: Path, write: Callable[[Path], object], progress: Progress) -> s
 def _write_report(
     answer: Equations, records: Sequence[Record], files: Mapping[Path, FileState | None], path: Path
 ) -> None:
-    """The report, with the command as it was typed where that is known; standard input has no file to be hashed."""
+    """Write the report, with the command as typed if it is known, and hashes of the input files but standard input."""
     from bayeq.records.io import require_unchanged
 
     for file, before in files.items():
-        require_unchanged(file, before)  # a hash of other rows would be a lie
+        require_unchanged(file, before)  # the hash must be that of the rows that were used
     given = click.get_current_context().obj
     command = None if given is None else shlex.join(["bayeq", *given])
     answer.report(path, records, files=[file for file in files if file.is_file()], command=command)
@@ -337,16 +337,16 @@ def show_equations(
     verbose: bool = False,
     folder: Path = Path(),
 ) -> None:
-    """Print equations in a few lines, in full where that or more than them is asked for, or as one JSON object.
+    """Print equations as one JSON object, in full (`verbose`, or with further parts), or else in a few lines.
 
-    A file in the folder is named with it.
+    Commands that are proposed name the input file with its `folder`.
     """
     if as_json:
         out = answer.to_dict()
         try:
             if physical:
                 out["physical"] = {target: _plain(parameters) for target, parameters in _physical(answer).items()}
-        finally:  # the equations are printed where there are no parameters too
+        finally:  # equations are printed even if parameters fail
             click.echo(json.dumps(out, allow_nan=False))
         return
     if not (verbose or conditional or physical or explain):
@@ -377,7 +377,7 @@ def _write_curves(found: Equations, what: Literal["sensitivity", "path"], path: 
 
 
 def _write_forecast(answer: Equations, records: Sequence[Record], holdout: float, path: Path) -> None:
-    """Free runs over the rows held out, or over whole records where none are."""
+    """Write free runs over the held-out rows, or over whole records if none were held out."""
     from bayeq.forecast.free_run import write_forecasts
 
     share = holdout if answer.data.n_held_out else 0.0
@@ -389,12 +389,12 @@ def _write_forecast(answer: Equations, records: Sequence[Record], holdout: float
     write_forecasts(path, runs)
 
 
-# The options that are outputs.
+# Names of the output options.
 OUTPUTS = tuple(field.name for field in fields(Outputs))
 
 
 def require_output(path: Path | None, files: Sequence[Path], kind: Kind) -> None:
-    """Refuse, before the work, a file that could not be written after it: its place, its kind, or what makes it."""
+    """Refuse, before the work, an unwritable path, a wrong suffix, or a file whose writer (a package) is missing."""
     if path is None:
         return
     _require_place(path, files)
@@ -417,12 +417,12 @@ def require_output(path: Path | None, files: Sequence[Path], kind: Kind) -> None
 
 
 def _require_place(path: Path, files: Sequence[Path]) -> None:
-    """Refuse a file to write that cannot be there, or that is read."""
+    """Raise InputError for an output path that cannot be written to, or that is an input file."""
     if path.is_dir():
         raise InputError(f"{path}: is a directory; name a file in it")
     if not path.parent.is_dir():
         raise InputError(f"{path}: cannot be written: there is no directory {path.parent}")
-    if not path.exists() or path.is_file():  # others, as pipes, are not replaced
+    if not path.exists() or path.is_file():  # pipes and devices are written to, not replaced
         target = path.resolve()
         if not os.access(target.parent, os.W_OK):
             raise InputError(f"{path}: cannot be written: {target.parent} is read-only; name a file elsewhere")
@@ -432,7 +432,7 @@ def _require_place(path: Path, files: Sequence[Path]) -> None:
 
 
 def _physical(answer: Equations) -> dict[str, PhysicalParameters]:
-    """Of the only equation of second order, of all of several together, or of states of first order."""
+    """Parameters of the only second-order equation, or else of all equations together, by target or `MODES`."""
     if answer.verdict.kind == "none":
         raise InputError("no equation was found, so that there are no physical parameters: see the verdict")
     second = [equation.target for equation in answer if equation.chain.order == 2]

@@ -27,10 +27,10 @@ from bayeq.records.io import near_files
 
 
 class Family(NamedTuple):
-    """A row of `FAMILIES`."""
+    """A family of terms, a row of `FAMILIES`."""
 
-    terms: Callable[[Variables, str | None], list[str]]  # their texts; None where nothing is after the colon
-    argument: str = ""  # what the number after the colon is; empty for a family that takes none
+    terms: Callable[[Variables, str | None], list[str]]  # texts of terms, from variables and text after the colon
+    argument: str = ""  # meaning of the number after the colon; empty if the family takes none
     by_equation: bool = False  # whether each equation has terms of its own
 
 
@@ -52,7 +52,7 @@ MOST_UNKNOWN = 3
 
 
 def build_dictionary(specification: str | Sequence[str], variables: Variables) -> tuple[Expression, ...]:
-    """Candidate terms in these states and inputs, of a specification as docs/terms.md has it or of a list of such.
+    """Candidate terms in the variables, from a specification as in docs/terms.md or a list of such.
 
     InputError: neither a family, nor a file, nor terms; a malformed or forbidden term; a term given twice; no terms.
 
@@ -124,7 +124,7 @@ def build_dictionaries(
 
 
 def _apart(terms: Sequence[Expression], targets: Sequence[str], allowed: Bools) -> Bools:
-    """Which terms each equation may have: none has its own target; InputError for one that no equation may have."""
+    """`allowed` (C, P) without terms in an equation's own target; InputError for a term left to no equation."""
     out = allowed.copy()
     for j, term in enumerate(terms):
         try:
@@ -147,14 +147,14 @@ def _apart(terms: Sequence[Expression], targets: Sequence[str], allowed: Bools) 
 
 
 def _require_families(specification: Specification, variables: Variables) -> None:
-    """Look for the families of other packages if a word has no other meaning."""
+    """Load the families of other packages if a word of the specification has no known meaning."""
     known = {*FAMILIES, *variables.known, *FUNCTIONS, *CONSTANTS}
     if not known.issuperset(re.findall(r"[^\W\d]\w*", written(specification))):
         FAMILIES.load()
 
 
 def _union(union: Sequence[Member], where: str, variables: Variables) -> tuple[Expression, ...]:
-    """The terms of families and terms together, without those left out."""
+    """The terms of a union of families and terms, without those left out."""
     terms: dict[Expression, None] = {}
     gone: list[tuple[str, tuple[Expression, ...]]] = []
     for member in union:
@@ -168,7 +168,7 @@ def _union(union: Sequence[Member], where: str, variables: Variables) -> tuple[E
             continue
         for term in found:
             if term.choice:
-                terms.pop(term, None)  # what a family has otherwise is a member of the either-or
+                terms.pop(term, None)  # a term of a family becomes a member of the either-or
             terms.setdefault(term)
     for text, found in gone:
         if not any(term in terms for term in found):
@@ -184,7 +184,7 @@ def _union(union: Sequence[Member], where: str, variables: Variables) -> tuple[E
 
 
 def _not_a_dictionary(text: str, variables: Variables, error: InputError) -> InputError:
-    """What is wrong with a specification that is no term: what it looks like decides."""
+    """The error for a specification that is no term, by what it resembles: a family, a file, a misspelt name."""
     if re.fullmatch(r"(?:[^\W\d]\w*)?(?::.*)?", text) and text not in FUNCTIONS:
         ways = [*FAMILIES, "polynomial:3", "a file (one term per line)", f"terms of {', '.join(variables.names)}"]
         return UnknownNameError("dictionary", text[:60], ways)
@@ -203,7 +203,7 @@ def _not_a_dictionary(text: str, variables: Variables, error: InputError) -> Inp
 
 
 def read_terms(path: str | Path) -> list[tuple[str, str]]:
-    """Terms of a file, one per line, each with the place it stands at; ``#`` starts a comment."""
+    """Terms of a file, one per line, each with its file and line; ``#`` starts a comment."""
     path = Path(path)
     try:
         if path.stat().st_size > MAX_FILE_BYTES:
@@ -308,7 +308,7 @@ def _require_inside(term: Expression, where: str, variables: Variables) -> None:
 
 
 def factors_of(node: Node) -> Iterator[Node]:
-    """What a term is a product of, signs and numbers among it."""
+    """The factors of a term, numbers included; of its divisors, unknown constants alone."""
     match node:
         case Negate(operand):
             yield from factors_of(operand)
@@ -334,7 +334,7 @@ def evaluate_terms(terms: Sequence[Expression], columns: Mapping[str, Floats]) -
 
 
 def slopes_of(term: Expression, states: Sequence[str]) -> Floats | None:
-    """Derivatives of a term that is linear in the states, beside what else may be added there; None of another."""
+    """Slopes (S,) of a term that is affine in S states, with constant slopes; None for any other term."""
     if not term.names & set(states):
         return None
     rng, size = np.random.default_rng(0), len(states)

@@ -1,4 +1,4 @@
-"""Families of terms: their texts from variables and the text after the colon, None where there is none."""
+"""Families of terms: functions from variables and the text after the colon (or None) to the texts of terms."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def monomials(names: tuple[str, ...], degree: int) -> list[str]:
 
 
 def count(names: int, degree: int) -> int:
-    """How many monomials of degree 1 to `degree` there are, and the constant."""
+    """Number of monomials of degree 0, the constant, to `degree`."""
     return comb(names + degree, degree)
 
 

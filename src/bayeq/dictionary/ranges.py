@@ -1,6 +1,6 @@
-"""Where the constants inside terms may be, such as v0 of ``tanh(v/{v0})``, and grids on which they are sought.
+"""Ranges of the constants inside terms, such as v0 of ``tanh(v/{v0})``, and grids on which they are sought.
 
-A range that is not written, ``{v0: 0.01..3}``, is read from the record by the place of the constant: docs/terms.md.
+A range that is not written, ``{v0: 0.01..3}``, follows from the record and the position of the constant: docs/terms.md.
 """
 
 from __future__ import annotations
@@ -21,39 +21,39 @@ from bayeq.expressions.nodes import arguments_of, is_comparison, nodes_of, unkno
 
 Columns = Sequence[Mapping[str, Floats]]
 
-# Scales reach from this share of the step between samples to the largest value, and what is added to a state to this
-# many times that: at the end tanh(v/v0) still bends by a quarter over the record, and x/(K + x) too.
+# A scale reaches from RESOLVED times the step between samples to the largest value, a constant added to a state to
+# BEYOND times that value: there tanh(v/v0) and x/(K + x) still bend by a quarter over the record.
 RESOLVED, BEYOND = 0.2, 3.0
 
-# A range whose ends are further apart by this factor is divided on a logarithmic scale.
+# A range is logarithmic if its ends differ by at least this factor.
 WIDE = 10.0
 
-# A sum that must not be zero begins this many times further than it could be.
+# Safety factor on the least constant for which a sum that must be positive is so.
 CLEAR = 1.1
 
-# Powers, where nothing is written.
+# Range of an unknown exponent, if none is written.
 POWERS = 0.25, 4.0
 
-# Waves over the range of what they are waves of, at least and, where that is not time, at most.
+# Fewest and most waves over the range of their argument; over even steps the sampling rate limits them instead.
 FEWEST_WAVES, MOST_WAVES = 0.5, 20.0
 
-# Nodes of a scale, a place or a power; of a phase, those about its middle that reach half a turn, for the
-# coefficient has either sign.
+# Number of nodes of a scale, an offset or a power; nodes of a phase about its middle, where half a turn suffices,
+# because the coefficient has either sign.
 NODES = 13
 PHASES = -0.25 * math.pi, 0.25 * math.pi
 
-# Nodes of a place where a term jumps; the place is known no better than about one of them.
+# Number of nodes of a threshold where a term jumps, which is known to about one step of this grid.
 JUMP_NODES = 1000
 
-# Nodes of a place where a term bends: a bend between nodes that are far apart looks like a polynomial. Of several
-# constants the grid of all has about this many.
+# Number of nodes of a threshold where a term bends: between distant nodes a bend looks like a polynomial. The grid of
+# several constants together has about BEND_GRID nodes.
 BEND_NODES, BEND_GRID = 100, 2500
 
-# Further nodes of a rate in an exponential: its exponent changes by these along the record. Between nodes that are
-# farther apart polynomials make up for what a node lacks.
+# Further nodes of a rate in an exponential: those with which the exponent changes by these amounts along the record.
+# Between nodes that are farther apart polynomials compensate for a wrong rate.
 EXPONENTS = np.arange(0.5, 15.1, 0.5)
 
-# Frequencies are this share of what the record resolves apart.
+# Step between frequencies, as a share of the frequency resolution of the record.
 APART = 0.8
 
 # A grid of all constants of a term has no more nodes than this.
@@ -63,30 +63,30 @@ _WAVES = ("sin", "cos")
 _POSITIVE = ("sqrt", "log", "log10", "log1p")
 
 
-# Log posterior of each member of an either-or, by the text of both.
+# Log posteriors of the members of an either-or, by its text and the text of the member.
 Forms = Mapping[str, Mapping[str, float]]
 
 
 @dataclass(frozen=True, slots=True)
 class ConstantEstimate:
-    """A constant inside terms, as the record tells it.
+    """The estimate of a constant inside terms.
 
     Attributes
     ----------
     name : str
-        As it is written between braces.
+        The name between braces.
     value : float
-        The likeliest.
+        The most probable value.
     sd : float or None
-        Standard deviation, of the logarithm where the constant is a scale; None of one in no term of the model.
+        Standard deviation (of the logarithm for a scale); None if no term of the model has the constant.
     ci95 : (float, float)
         95 % interval, within the range.
     low, high : float
         The range in which it was sought.
     logarithmic : bool
-        Whether it is a scale.
+        Whether it is a scale, with a flat prior on its logarithm.
     terms : tuple of str
-        Those of the model that it stands in; of one in none, those of the dictionary.
+        Terms of the model that contain it, or if there are none, those of the dictionary.
     """
 
     name: str
@@ -100,7 +100,7 @@ class ConstantEstimate:
 
 
 def is_scale(constant: Unknown) -> bool:
-    """Whether a constant is known on a logarithmic scale."""
+    """Whether the range of a constant is logarithmic."""
     return constant.low > 0.0 and constant.high >= WIDE * constant.low
 
 
@@ -110,7 +110,7 @@ def to_scale(constant: Unknown, value: float) -> float:
 
 
 def to_plain(constant: Unknown, value: float) -> float:
-    """The value from that on the scale."""
+    """The plain value, from its value on that scale."""
     return math.exp(value) if is_scale(constant) else value
 
 
@@ -130,7 +130,7 @@ def extent(constant: Unknown) -> float:
 
 
 def families(terms: Sequence[Expression]) -> list[list[int]]:
-    """Terms that share constants, as their numbers; terms without any are in none."""
+    """Groups of terms, by their numbers, that share constants; terms without constants are left out."""
     found: list[tuple[set[str], list[int]]] = []
     for j, term in enumerate(terms):
         names, own = set(term.unknowns), [j]
@@ -144,7 +144,7 @@ def families(terms: Sequence[Expression]) -> list[list[int]]:
 
 
 def with_ranges(terms: Sequence[Expression]) -> tuple[Expression, ...]:
-    """The terms with the range of a constant wherever it stands, if it is written anywhere; InputError for two."""
+    """The terms with a range that is written once set at every place of its constant; InputError for two ranges."""
     written: dict[str, Unknown] = {}
     for term in terms:
         for one in unknowns_of(term.tree):
@@ -184,7 +184,7 @@ def located(terms: Sequence[Expression], columns: Columns) -> dict[str, Unknown]
 
 
 def _require_regular(term: Expression, constants: Mapping[str, Unknown], columns: Columns) -> None:
-    """Refuse a term that is divided by something that is zero for some values of its constants."""
+    """Raise InputError for a term whose divisor is zero for some values of its constants."""
     for own in [Expression(one.right) for one in nodes_of(term.tree) if isinstance(one, Binary) and one.op == "/"]:
         if not own.unknowns:
             continue
@@ -225,17 +225,17 @@ def grids(
 
 
 def jumps_at(term: Expression, name: str) -> bool:
-    """Whether a term jumps where something passes a constant."""
+    """Whether a constant is a threshold at which a term jumps."""
     return any(_jumps(path) for path in _paths(term.tree, name))
 
 
 def beside(term: Expression, name: str) -> Place:
-    """Where a constant first stands in a term."""
+    """The first position of a constant in a term."""
     return _place(next(_paths(term.tree, name)))
 
 
 def _paths(node: Node, name: str) -> Iterator[tuple[Node, ...]]:
-    """From the root to a constant."""
+    """The nodes from the root to each occurrence of a constant."""
     if isinstance(node, Unknown):
         if node.name == name:
             yield (node,)
@@ -250,11 +250,11 @@ def _wave(path: tuple[Node, ...]) -> bool:
 
 
 class Place(NamedTuple):
-    """Where a constant stands."""
+    """The position of a constant in a term."""
 
-    operation: str  # that it stands in, or function: "*" or, where it divides, "below", of a whole product
-    other: Node | None  # what stands beside it, all other factors of a product
-    power: Node | None  # the exponent, where it is the base of a power there
+    operation: str  # operator or function around it; in a product "*", in a divisor "below"
+    other: Node | None  # the other operand; in a product, all other factors
+    power: Node | None  # the exponent, if the constant is the base of a power
     path: tuple[Node, ...]  # from the root to the operation
 
 
@@ -295,7 +295,7 @@ def _place(path: tuple[Node, ...]) -> Place:
 
 
 def _is_positive(path: tuple[Node, ...]) -> bool:
-    """Whether a sum, the last of a path, divides or is under a root or a logarithm."""
+    """Whether the sum at the end of a path must be positive: in a divisor, a power, a root or a logarithm."""
     child = path[-1]
     for parent in reversed(path[:-1]):
         match parent:
@@ -312,9 +312,9 @@ def _is_positive(path: tuple[Node, ...]) -> bool:
 def _two_sided(
     paths: Sequence[tuple[Node, ...]], constants: Mapping[str, Unknown], columns: Columns
 ) -> tuple[float, float] | None:
-    """The range of a constant by its first place; from 0 where x passes both the constant and minus that.
+    """The range of a constant by its first position; from 0 if both g and -g are thresholds of x.
 
-    A negative one is then the same law in another form: max(x + g, 0) + min(x - g, 0) is 2x less what it is of -g.
+    A negative g is then the same law in another form: f(-g) = 2x - f(g) for f(g) = max(x + g, 0) + min(x - g, 0).
     """
     ends = _range(paths[0], constants, columns)
     if ends is None or not ends[0] < 0.0 < ends[1]:
@@ -330,7 +330,7 @@ def _two_sided(
 
 
 def _range(path: tuple[Node, ...], constants: Mapping[str, Unknown], columns: Columns) -> tuple[float, float] | None:
-    """The range of a constant, by its place in a term; None where the record does not tell."""
+    """The range of a constant, by its position in a term; None if the record does not determine it."""
     place = _place(path)
     operation = place.operation
     if operation == "**":
@@ -351,7 +351,7 @@ def _range(path: tuple[Node, ...], constants: Mapping[str, Unknown], columns: Co
 
 
 def _beside(operation: str, values: Sequence[Floats], path: tuple[Node, ...], wave: bool) -> tuple[float, float] | None:
-    """The range of a constant beside some values."""
+    """The range of a constant from the values of the other operand."""
     largest = max(float(np.abs(one).max(initial=0.0)) for one in values)
     lowest, highest = min(float(one.min()) for one in values), max(float(one.max()) for one in values)
     steps = np.concatenate([np.abs(np.diff(one)) for one in values])
@@ -379,7 +379,7 @@ def _beside(operation: str, values: Sequence[Floats], path: tuple[Node, ...], wa
 
 
 def _waves(values: Sequence[Floats], steps: Floats) -> tuple[float, float]:
-    """Angular frequencies of waves over some values: over time up to a quarter of the sampling rate."""
+    """Range of angular frequencies of waves over values; over even steps up to a quarter of the sampling rate."""
     span, step = _span(values), float(np.median(steps))
     even = step > 0.0 and bool(np.all(np.abs(steps - step) < 0.5 * step))
     return 2.0 * math.pi * FEWEST_WAVES / span, 0.5 * math.pi / step if even else 2.0 * math.pi * MOST_WAVES / span
@@ -390,7 +390,7 @@ def _span(values: Sequence[Floats]) -> float:
 
 
 def _values(node: Node, constants: Mapping[str, Unknown], columns: Columns) -> list[Floats] | None:
-    """What stands beside a constant in each record, others in the middle of their ranges; None of unknown ranges."""
+    """Values of a node in each record, constants at the middle of their ranges; None if any is not finite."""
     values = {name: replace(one, value=middle(one)) for name, one in constants.items()}
     expression = Expression(node).with_unknowns(values)
     with np.errstate(all="ignore"):
@@ -432,11 +432,11 @@ def _grows(path: tuple[Node, ...]) -> bool:
 
 
 def _jumps(path: tuple[Node, ...]) -> bool:
-    """Whether a term jumps where something passes a constant: nothing but a fine grid finds that place."""
+    """Whether a term jumps at a threshold given by the constant, which only a fine grid finds."""
     steps = ("sign", "heaviside", "floor", "ceil")
     return any(is_comparison(node) or (isinstance(node, Call) and node.function in steps) for node in path)
 
 
 def _bends(path: tuple[Node, ...]) -> bool:
-    """Whether a term has a corner where something passes a constant."""
+    """Whether a term has a corner at a threshold given by the constant."""
     return any(isinstance(node, Call) and node.function in ("abs", "max", "min") for node in path)

@@ -1,4 +1,4 @@
-"""How a dictionary is written: families and terms of variables, joined and left out, and one of them per equation."""
+"""Syntax of dictionaries: families and terms, joined by + and left out by -, for all equations or one each."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from bayeq.expressions.functions import TIME
 # A family, a file, terms or unions of them; or one of these by the target of each equation.
 Specification: TypeAlias = str | Sequence[str] | Mapping[str, str | Sequence[str]]
 
-# What stands in front of a sign that belongs to a number or an operand.
+# Text in front of a sign that belongs to a number or an operand, and does not divide a union.
 _OPERATOR = re.compile(r"(?:^|[-+*/^(,<>=:|]|(?:^|[^\w.])[0-9.]+[eE])$")
 
 
@@ -82,7 +82,7 @@ def split_at(text: str, mark: str = ",") -> list[str]:
 
 
 def without_names(text: str, names: Set[str], families: Set[str]) -> str:
-    """A dictionary without the terms that some names are in, and the equations of these.
+    """A dictionary without the terms that contain some names, and without the equations of these names.
 
     >>> without_names("a: oscillator + f - x*f, v, u-f, f | sign(v); df: u", {"f", "df"}, {"oscillator"})
     'a: oscillator, v, sign(v)'

@@ -1,4 +1,4 @@
-"""What `discover` warns of beside the answer: channels, terms, sums and rows that tell less than they seem to."""
+"""Warnings of `discover` about channels, terms, sums of states and rows that carry less information than expected."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from bayeq.states import Motion, Roles, force_of_blows
 
 
 def warn_of_other_terms(equations: Sequence[Equation], scored: Sequence[Equation], log: WarningLog) -> None:
-    """Say where an equation of all rows has other terms than the one that fits and verdict on the last rows are of."""
+    """Warn if an equation from all rows has other terms than the one whose scores on the held-out rows are reported."""
     for equation, former in zip(equations, scored, strict=True):
         if set(equation.shown) != set(former.shown):
             log.warn(
@@ -32,7 +32,7 @@ def warn_of_other_terms(equations: Sequence[Equation], scored: Sequence[Equation
 
 
 def warn_of_sensors(motion: Motion, given: Set[str], log: WarningLog) -> None:
-    """Say which of what was given of channels makes no difference."""
+    """Warn if the noise, gain or lag given for a channel has no effect."""
     roles, sensors = motion.roles, motion.sensors
     computed = [name for name in given if name not in roles.channels]
     if computed:
@@ -52,7 +52,7 @@ def warn_of_sensors(motion: Motion, given: Set[str], log: WarningLog) -> None:
 def warn_of_blows(
     records: Sequence[Record], inputs: Sequence[str], known: Mapping[str, float], log: WarningLog
 ) -> None:
-    """Say what noise would do that a force window hides: between blows there is none to be seen."""
+    """Warn that a force window hides the noise of a hammer force, with the change that noise of 1 % would make."""
     for name in inputs:
         blows = None if name in known else force_of_blows(name, records)
         if blows is not None:
@@ -65,7 +65,7 @@ def warn_of_blows(
 
 
 def warn_of_rates(records: Sequence[Record], roles: Roles, log: WarningLog) -> None:
-    """Say where the rate that was given is not that of a column that is named time and used as no channel."""
+    """Warn if the given sampling rate contradicts an unused column whose name means time."""
     for record in records:
         fs = None if counts_rows(record) else record.fs
         for name in record.names:
@@ -78,7 +78,7 @@ def warn_of_rates(records: Sequence[Record], roles: Roles, log: WarningLog) -> N
 
 
 def warn_of_zero(design: Design, records: Sequence[Record], log: WarningLog) -> None:
-    """Say which displacements are nowhere zero: where terms that depend on where zero is hardly differ."""
+    """Warn about a displacement that is never zero, if powers of it, which depend on its origin, are candidates."""
     for chain in design.motion.roles.chains:
         name = chain.measured[0]
         if chain.order < 2 or name is None:
@@ -108,16 +108,16 @@ def warn_of_terms(design: Design, log: WarningLog) -> None:
         log.warn(f"terms left out: {listed}: other motion, or other units, would tell", TermWarning)
 
 
-# Means over this many parts of each record vary by no more than the noise within the parts leaves, unless that has less
-# than this probability, and they vary by this share of the largest state.
+# A sum of states changes if its means over PARTS parts of each record differ with a p value (F test) below CHANCE, and
+# the standard deviation of these means is above the share MATTERS of the largest state's.
 PARTS, CHANCE, MATTERS = 10, 1e-6, 0.05
 
-# A sum of some states, of no more than these, stays the same where its noise is below this share of the largest.
+# Sums of up to MOST_SUMMED states; a constant one has a standard deviation below the share STILL of a state's.
 MOST_SUMMED, STILL = 6, 0.3
 
 
 def change_of(conserve: str, weights: Mapping[int, float], motion: Motion) -> str | None:
-    """What to say where the samples of a sum, its weights by the number of the equation, contradict that it stays."""
+    """Message if the record contradicts that a weighted sum (weights by equation number) is constant, else None."""
     found = _change(weights, motion)
     if found is None or found.chance >= CHANCE or found.slow <= MATTERS * found.largest:
         return None
@@ -125,7 +125,7 @@ def change_of(conserve: str, weights: Mapping[int, float], motion: Motion) -> st
 
 
 def warn_of_sums(design: Design, log: WarningLog) -> None:
-    """Say which sum of states stays the same: a term and its product with that sum are one and the same."""
+    """Warn about a sum of states that is constant: a term and its product with that sum are proportional."""
     chains, states = design.motion.roles.chains, set(design.motion.roles.states)
     products = any(degree(term) > 1 and len(term.names & states) > 1 for term in design.terms)
     if not products or not 2 <= len(chains) <= MOST_SUMMED or any(one.order != 1 or one.hidden for one in chains):
@@ -145,14 +145,14 @@ def warn_of_sums(design: Design, log: WarningLog) -> None:
 class _Change(NamedTuple):
     """How a sum of states changes along the training rows."""
 
-    chance: float  # probability of the changes of its means over parts of the records if it is constant
+    chance: float  # p value of the differences of its means over parts of the records
     slow: float  # standard deviation of these means
-    sd: float  # of the sum
-    largest: float  # standard deviation of a state in it
+    sd: float  # standard deviation of the sum
+    largest: float  # largest standard deviation of a weighted state in it
 
 
 def _change(weights: Mapping[int, float], motion: Motion) -> _Change | None:
-    """The same of weights by the number of the equation; None of too few rows."""
+    """Changes of a weighted sum, weights by equation number; None for too few rows or an absent state."""
     from scipy.special import fdtrc
 
     names = {motion.roles.chains[c].states[0]: weight for c, weight in weights.items()}

@@ -45,13 +45,13 @@ from bayeq.states import Roles, Smooth, Tails, check_sensors, with_laws
 from bayeq.states.derive import current
 from bayeq.states.sensors import share_of_reading
 
-# Longer records in memory are taken in units, as large files are.
+# Longer records in memory [rows] are processed in units of rows, as large files are.
 MOST_ROWS = 200_000
 
-# Arguments of `discover` that say where the rows are and how they are read; the others are what is asked of them.
+# Arguments of `discover` that say where the rows are and how they are read; the others make up the `Question`.
 SOURCES = ("records", "t", "stream", "client", "checkpoint")
 
-# ... and those that say which channel plays which part, as `Roles.parse` takes them.
+# ... and those that give the roles of channels, in the order of `Roles.parse`.
 ROLES = ("chains", "displacement", "velocity", "acceleration", "force", "inputs", "target", "discrete")
 
 
@@ -101,8 +101,8 @@ def discover(
         A coordinate and its measured derivatives each: ``"x:v:a"``, ``"x::"``, ``"x"`` (first order). In ``"::a"``,
         only the acceleration measured, the coordinate is called x; where another chain or an input has that name, as
         in ``["::a1", "::a2"]``, x_a1 and x_a2. ``"~q::a"`` names it q. ``"~r:"`` is a hidden state
-        of first order, whose law is found among the terms of its own dictionary; ``"~x2::"`` a coordinate that nobody
-        measures, which terms have in differences alone.
+        of first order, whose law is found among the terms of its own dictionary; ``"~x2::"`` a coordinate without any
+        channel (a hidden mass), which terms have in differences alone.
     displacement, velocity, acceleration : str, optional
         Channels of one oscillator's chain, instead of `chains`.
     force : str, optional
@@ -120,8 +120,8 @@ def discover(
         others then have probability 0 in it. See docs/terms.md for the language of terms. A feature library, as
         ``pysindy.PolynomialLibrary(3)``, is taken by the names of its features in states and inputs.
     method : str
-        ``"auto"`` (the optimum of variational Bayes, probabilities by model averaging), ``"vb"``, ``"bma"``,
-        ``"gibbs"`` (MCMC), ``"rvm"`` or ``"stlsq"`` (SINDy).
+        ``"auto"`` (terms, coefficients and probabilities by model averaging, with the lower bound of variational
+        Bayes), ``"vb"``, ``"bma"``, ``"gibbs"`` (MCMC), ``"rvm"`` or ``"stlsq"`` (SINDy).
     smooth : "auto" or "none"
         "auto" is the likelihood of the record, "none" the regression of rows as measured. Spikes, stuck and clipped
         stretches are left out first, and missing samples (NaN) are bridged; with "none" nothing is left out, and NaN is
@@ -134,25 +134,27 @@ def discover(
         each equation (`Equation.path`) tells what each further term brings. Probabilities and the included terms stay;
         what is left out is listed after the equation.
     tolerance : float, optional
-        What the law may lack beside the terms, a small function of the states, as a share of the target's standard
-        deviation (`bayeq.likelihood.spike`). By default its size is learned from the record, where its likelihood is
-        used, and is none for rows as measured; 0: the law is exact; above 0: the function is of this size, or larger.
-        Of a law that is only nearly true terms are not shown without which free runs are worse by no more than this,
-        by default 0.5 % of the states' spread (`bayeq.equation.selection.select`).
+        Size of the discrepancy, a small unknown function of the states beside the terms, as a share of the target's
+        standard deviation (`bayeq.likelihood.spike`). By default it is learned under the likelihood of the record, and
+        zero for rows as measured; 0: the law is exact; above 0: the discrepancy has this size, or a larger one.
+        If a law is only nearly true, a term is not shown if free runs without it are worse by at most this, by default
+        0.5 % of the states' spread (`bayeq.equation.selection.select`).
     coarsen : float
         Power, above 0 and at most 1, that the likelihood is raised to: each row counts as this share of one (Miller
         and Dunson 2019). It widens all intervals and asks more evidence of a term, for models that are only nearly
         true. `Equation.coarsening` shows how PIPs depend on it.
     prior : Prior, optional
-        By default p_0 = 0.1, a slab variance v_s that maximises the evidence (at least 10), and a vague prior of
-        the noise in units of the least-squares residual. A given prior applies to standardised columns and
-        those units; its v_s is used as it is.
+        By default, under the likelihood of the record, p_0 = 0.1 (in ``polynomial``, odds that fall with the degree),
+        and a slab variance at which a term explains 5 times the target's variance. For rows as measured, and with
+        `coarsen` below 1 or equalities, p_0 = 0.1, a slab variance v_s that maximises the evidence (at least 10), and a
+        vague prior of the noise in units of the least-squares residual. A given prior applies to standardised columns
+        and those units; its v_s is used as it is.
     constraints : str or sequence of str
         What is known of the coefficients, in original units: linear equations, ``"u == 1"``,
         ``"x*abs(x) == 0.5*x**3"``, signs and bounds, ``"v <= 0"``, ``"0 <= x**3 <= 5"`` (methods auto and bma), and
-        what was measured before, with its standard deviation, ``"u ~ 0.1 +- 0.001"``. They concern every equation, or
-        with a target in front that one, ``"a: v <= 0"``. ``"a1: x1-x2 == 2*(a2: x2-x1)"`` ties coefficients of two
-        equations. Where the record contradicts what has ``==``, it is said, and the answer is the one without.
+        earlier estimates with standard deviation, ``"u ~ 0.1 +- 0.001"``. They apply to every equation, or to one whose
+        target is in front, ``"a: v <= 0"``. ``"a1: x1-x2 == 2*(a2: x2-x1)"`` ties coefficients of two equations. A
+        constraint with ``==`` that the record contradicts is dropped, with a warning.
     conserve : str
         A sum of states of first order that does not change, ``"S + I + R"``: every term is a flow between two of them,
         with opposite coefficients in their equations.
@@ -160,8 +162,8 @@ def discover(
         Terms whose coefficients may differ between records, ``"x, v"``, or ``"all"``: each has a candidate difference
         ``x*run2`` in every record but the first, with a probability of its own.
     law : str or sequence of str
-        Rates of hidden states, which no channel measures, ``"df = (u - f)/{tau}"``: all of the law is in. Terms of the
-        other equations may use the state by its name. The equations without it are always compared.
+        Rates of hidden states, which no channel measures, ``"df = (u - f)/{tau}"``; all terms of the law are included.
+        Terms of the other equations may use the state by its name. Equations without it are always fitted too.
     discrete : bool
         Whether the equations are maps: they give the next sample, ``x[+1]``, in place of the rate, and terms may have
         earlier samples, ``x[-1]``, ``u[-2]``. Each chain is a channel; time is counted in samples.
@@ -170,27 +172,26 @@ def discover(
         then not learned from the record. 0 is a channel without noise. ``"5% of reading"`` is noise in proportion to
         what is measured, sample by sample; with ``"% of reading"`` its share is learned, and a constant part beside it.
     gain_sd : mapping of str to float, optional
-        Uncertainty of the calibration of sensors, 0.01 for a factor known to 1 %. Other channels of the chain tell the
-        factor as far as they can; the intervals take in the rest.
+        Uncertainty of the calibration of sensors, 0.01 for a factor known to 1 %. The factor is estimated from other
+        channels of the chain; the intervals include its remaining uncertainty.
     lag_sd : mapping of str to float, optional
         Channels that may be late or early, with the standard deviation of their lag [s], which has mean 0: a sample at
-        time t is of time t - lag, so that a late channel has a positive one. Lags are learned from the record, taken
-        out of the channels, and widen the intervals as far as they are not known. Needs the likelihood of the record,
+        time t is of time t - lag, so that a late channel has a positive one. Lags are learned from the record and
+        removed from the channels; their remaining uncertainty widens the intervals. Needs the likelihood of the record,
         and even sampling.
     tails : "gauss" or "student"
         Distribution of the channels' noise: normal, or Student's t with degrees of freedom that are estimated per
         channel, for noise of many outliers. Needs the likelihood of the record. Single spikes are left out in any case.
     band : (float, float), optional
-        Frequencies [Hz] in which the record is believed. Every channel may drift more slowly than the lower one, by
-        how much is learned. Hum, lines of the spectra above the higher one, is taken out of all channels
-        (`bayeq.states.prepare`).
+        Frequencies [Hz] in which the record is trusted. Every channel may have a drift below the lower one, whose size
+        is learned. Hum, spectral lines above the higher one, is removed from all channels (`bayeq.states.prepare`).
     seed : int
         Seed of methods that draw random numbers (``"gibbs"``).
     progress : callable, optional
         Called with (stage, done, total).
     t : str or array_like, optional
-        The column that is time, of files and data frames, or sampling times [s] of arrays. Where no record has a time
-        the number of the row is time, with a warning, and coefficients are per sample.
+        Name of the time column of files and data frames, or sampling times [s] of arrays. If no record has a time, the
+        row number is used, with a warning, and coefficients are per sample.
     stream : bool, optional
         Whether files are read some rows at a time, for records larger than memory: Parquet, HDF5, NPY and text. By
         default folders, all files of which are read, and files of more than 256 MB together. Noise levels, verdict and
@@ -199,9 +200,9 @@ def discover(
     client : dask.distributed.Client, optional
         A cluster that reads the files and sums over the rows; see docs/cluster.md.
     checkpoint : path, optional
-        Folder in which sums over the rows are kept on the way, so that a run that is killed goes on where it was. By
-        default one in the user's cache. They are removed at the end. Where they cannot be kept the run goes on without,
-        with a warning if the folder is given.
+        Folder for intermediate sums over the rows, from which a killed run is resumed; by default one in the user's
+        cache. They are removed at the end. If they cannot be written the run goes on without, with a warning if the
+        folder is given.
 
     Returns
     -------
@@ -216,9 +217,9 @@ def discover(
     Warns
     -----
     TermWarning, DataWarning, AmbiguityWarning, CorrelatedResidualsWarning, ConvergenceWarning
-        What makes the answer less than it seems; also kept in ``warnings`` of the result.
+        Limitations of the answer; also kept in ``warnings`` of the result.
     BayeqWarning
-        Sums cannot be kept in ``checkpoint``.
+        Sums cannot be written to ``checkpoint``.
 
     Examples
     --------
@@ -244,10 +245,10 @@ def discover(
 
 
 def _require_channels(records: Any, asked: Mapping[str, Any]) -> None:
-    """Refuse a channel that is not in the records, before what follows from its name."""
+    """Raise InputError for a channel that is not in the records, before errors that follow from its name."""
     try:
         channels = Roles.parse(*(asked[name] for name in ROLES)).channels
-    except InputError:  # said already
+    except InputError:  # reported already
         return
     for record in records if isinstance(records, list | tuple) else [records]:
         for name in channels if isinstance(record, Record) else ():
@@ -255,7 +256,7 @@ def _require_channels(records: Any, asked: Mapping[str, Any]) -> None:
 
 
 def _advice(error: InputError, records: Any, asked: Mapping[str, Any]) -> str:
-    """What to do about a name in a dictionary that is not among the channels that were named; empty if not known."""
+    """Advice on an unknown name in a dictionary, that of no given channel; empty if there is none."""
     cause: BaseException | None = error
     while cause is not None and not isinstance(cause, UnknownNameError):
         cause = cause.__cause__
@@ -275,7 +276,7 @@ def _advice(error: InputError, records: Any, asked: Mapping[str, Any]) -> str:
 
 
 def question_of(**asked: Any) -> Question:
-    """The arguments of `discover`, but those of `SOURCES`, checked before any record is read."""
+    """Check the arguments of `discover` other than `SOURCES` before any record is read; returns the `Question`."""
     given = SimpleNamespace(**asked)
     _check_kinds(given)
     rules = Rules(given.max_terms, given.tolerance)
@@ -299,7 +300,7 @@ def question_of(**asked: Any) -> Question:
         )
     known = (given.constraints,) if isinstance(given.constraints, str) else tuple(given.constraints)
     parse_ties(known, terms, roles.targets, allowed=allowed)
-    # what is wrong is said before the work
+    # wrong constraints are reported before the work
     check_scales(roles, terms, allowed, parse_constraints(known, terms, roles.targets, allowed=allowed))
     if given.conserve:
         beside = known or given.differs or roles.hidden or given.discrete or given.prior or given.max_terms
@@ -334,7 +335,7 @@ def question_of(**asked: Any) -> Question:
 
 
 def _variables(roles: Roles) -> Variables:
-    """What terms may name; of static laws alone the inputs."""
+    """The variables of terms; for static laws alone the inputs."""
     if not roles.states:
         return Variables(roles.inputs)
     chained = tuple(chain.states for chain in roles.chains)
@@ -343,7 +344,7 @@ def _variables(roles: Roles) -> Variables:
 
 
 def _check_kinds(given: SimpleNamespace) -> None:
-    """Refuse arguments of another kind, or out of range."""
+    """Raise InputError for arguments of the wrong type or out of range."""
     for name in ("method", "smooth", "conserve"):
         require_text(getattr(given, name), name)
     for name in ("constraints", "differs"):
@@ -368,7 +369,7 @@ def _check_kinds(given: SimpleNamespace) -> None:
 
 
 def _check_map(smooth: Smooth, band: Any, lag_sd: Any, differs: Any, law: Any) -> None:
-    """Refuse what equations that give the next sample do not have."""
+    """Raise InputError for options that maps (equations for the next sample) do not have."""
     given = {
         "smooth='none'": smooth == "none",
         "band": band is not None,
@@ -421,7 +422,7 @@ def _answer(
     client: Any,
     checkpoint: str | os.PathLike[str] | None,
 ) -> tuple[Equations, WarningLog]:
-    """The answer to a question of records that are taken whole or, where they are long, some rows at a time."""
+    """Answer a question from records that are read whole or, if they are long, some rows at a time."""
     channels = [name for name in question.roles.channels if not EARLIER.fullmatch(name)]
     executor = Threads() if client is None else Cluster(client)
     if is_dask(records):
@@ -448,7 +449,7 @@ def _answer(
 
 
 def _of_all_rows(question: Question, whole: Whole) -> tuple[Equations, WarningLog]:
-    """The answer from sums over all rows, which are kept until there is one."""
+    """Answer from sums over all rows; their checkpoints are kept until it is found."""
     try:
         found = replace(question, whole=whole).answer(stretches(whole.extents))
     except KeyboardInterrupt as stop:
@@ -460,7 +461,7 @@ def _of_all_rows(question: Question, whole: Whole) -> tuple[Equations, WarningLo
 
 
 def extents_of(records: Any, t: Any, stream: bool | None, clustered: bool = False) -> tuple[Extent, ...] | None:
-    """The rows of files that are read some at a time, on a cluster of all; None of records that are taken whole."""
+    """Extents of files that are read some rows at a time (on a cluster: all files); None for records read whole."""
     several = isinstance(records, Sequence) and not isinstance(records, (str, bytes))
     items = list(records) if several else [records]
     if items and all(isinstance(one, Extent) for one in items):
@@ -505,7 +506,7 @@ def _whole(question: Question, extents: tuple[Extent, ...], executor: Executor, 
 
 
 def _require_folder(folder: Path) -> None:
-    """Make a folder for checkpoints, which somebody counts on."""
+    """Make the folder that the user named for checkpoints; InputError if it cannot be written to."""
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=folder).close()

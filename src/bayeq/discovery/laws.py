@@ -1,4 +1,4 @@
-"""Hidden states, compared with none, and coefficients that differ by record."""
+"""Hidden states, compared with equations without them, and coefficients that differ between records."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from bayeq.states.prepare import numbered
 def dictionaries_of(
     dictionary: Specification, roles: Roles, variables: Variables
 ) -> tuple[tuple[Expression, ...], Bools]:
-    """The candidates of all equations that are not stated; a ChainError refuses a hidden state without any."""
+    """Candidates of all equations without a stated law; ChainError for a hidden state without either."""
     targets = roles.sought
     found = roles.hidden[: len(targets) - len(roles.seen.chains)]
     if found and of_equations(dictionary, targets) is None:
@@ -40,7 +40,7 @@ def dictionaries_of(
 
 
 def check_scales(roles: Roles, terms: Sequence[Expression], allowed: Bools, constraints: Sequence[Constraints]) -> None:
-    """Refuse a hidden state that is no candidate by itself, and another scale than its 1 that is not as if measured."""
+    """Raise InputError for a hidden state whose scale no term sets, or a constraint but ``~`` on its coefficient 1."""
     for chain in roles.hidden:
         if not chain.stated:
             c, j, scaled = seen_in(chain, roles, terms, allowed)[0]
@@ -53,15 +53,15 @@ def check_scales(roles: Roles, terms: Sequence[Expression], allowed: Bools, cons
 def with_law_terms(
     terms: Sequence[Expression], allowed: Bools, roles: Roles
 ) -> tuple[tuple[Expression, ...], Bools, Roles]:
-    """Candidates of all equations with the laws of hidden states among them, and the roles with the same constants.
+    """Candidates, `allowed` (C, P) and roles with the laws of hidden states as further terms.
 
-    An InputError says that no term uses a hidden state, and refuses a law with too many constants or two ranges of one.
+    InputError for a hidden state that no term uses, a law of constants alone or of too many, or two ranges of one.
     """
     laws = [chain.law for chain in roles.hidden if chain.law is not None]
     if not laws:
         return tuple(terms), allowed, roles
     used = frozenset[str]().union(*(one.names for one in terms))
-    for _ in laws:  # a state that another one is driven by
+    for _ in laws:  # a state may be used only by the law of another one
         others = (chain.law.names for chain in roles.hidden if chain.law is not None and chain.names[0] in used)
         used = used.union(*others)
     for chain in roles.hidden:
@@ -86,7 +86,7 @@ def with_law_terms(
 
 
 def without_hidden(terms: Sequence[Expression], allowed: Bools, roles: Roles) -> tuple[tuple[Expression, ...], Bools]:
-    """The candidates of the equations of measured states that no hidden state is in."""
+    """Candidates of the equations of measured states, without those that contain a hidden state."""
     hidden, count = {name for chain in roles.hidden for name in chain.names}, len(roles.seen.chains)
     kept = [j for j, term in enumerate(terms) if not hidden & term.names and allowed[:count, j].any()]
     return tuple(terms[j] for j in kept), allowed[:count, kept]
@@ -95,7 +95,7 @@ def without_hidden(terms: Sequence[Expression], allowed: Bools, roles: Roles) ->
 def hidden_states(
     design: Design, record: RecordFit | None, likelihood: Callable[[Design], RecordFit | None]
 ) -> tuple[HiddenState, ...]:
-    """The hidden states of a design, with log odds of the equations without them, by the `likelihood` of these."""
+    """The hidden states of a design, with log odds of the equations without them, from the `likelihood` of both."""
     motion = design.motion
     if not motion.roles.hidden:
         return ()
@@ -108,16 +108,16 @@ def hidden_states(
     return tuple(HiddenState(chain.names[0], odds, chain.stated) for chain in motion.roles.hidden)
 
 
-# Records whose differences are sought, at most.
+# Most records between which coefficients may differ.
 MOST_RECORDS = 20
 
 
 def with_differences(
     differs: str | Sequence[str], records: Sequence[Record], terms: Sequence[Expression], allowed: Bools
 ) -> tuple[list[Record], tuple[str, ...], tuple[Expression, ...], Bools]:
-    """Records with the inputs that number them, the names of these, and the candidates with the differences.
+    """Records with indicator inputs (run2, ...), their names, and candidates with a product term per difference.
 
-    An InputError refuses one record only, or very many; a term that is no candidate; a channel with such a name.
+    InputError for one record or very many, a term that is no candidate, or a channel with the name of an indicator.
     """
     if not 1 < len(records) <= MOST_RECORDS:
         raise InputError(

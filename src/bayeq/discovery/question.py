@@ -1,4 +1,4 @@
-"""`Question`: what is asked of records, and the way from there to the equations."""
+"""`Question`: the checked arguments of `discover`, and the steps from records to equations."""
 
 from __future__ import annotations
 
@@ -63,30 +63,30 @@ NO_TAILS = (
     "tails='student' makes no difference: it needs the full fit, which is not used here; use more rows, or fewer terms"
 )
 
-# With fewer training rows there is no regression.
+# Fewest training rows for a regression.
 LEAST_TRAINING_ROWS = 3
 
-# Ties are contradicted by a record that is likelier without them by more nats.
+# Equalities and ties are contradicted if the log likelihood without them is higher by at least this [nats].
 CONTRADICTED = 5.0
 
-# Equations without hidden states are shown unless the record is likelier with them by more nats.
+# Hidden states are shown only if the log odds in their favour are at least this [nats].
 CLEARLY = 3.0
 
-# Lags and factors are learned in rounds, until none moves by more than this share of its standard deviation.
+# Most rounds of learning lags and factors; they end when none moves by this share of its standard deviation.
 SENSOR_ROUNDS, SENSOR_FOUND = 8, 0.1
 
-# Channels are checked against each other with straight lines over missing samples if these are a smaller share: cut off
-# peaks make a factor smaller by some nine times that.
+# For checks of channels against each other missing samples are interpolated linearly if their share is below this: the
+# peaks that this cuts off reduce an estimated factor by about nine times the share.
 MOST_BRIDGED = 0.005
 
 
 class NotStreamed(InputError):
-    """Rows that have to be taken all together."""
+    """The question needs all rows in memory at once."""
 
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """The arguments of `bayeq.discover`, checked; `known` are the constraints, `step` the progress."""
+    """The arguments of `bayeq.discover`, checked; `known` are the constraints, `step` is the progress callback."""
 
     roles: Roles
     terms: tuple[Expression, ...]
@@ -112,7 +112,7 @@ class Question:
     whole: Whole | None = None  # all rows, where records are stretches of longer ones
 
     def answer(self, records: Sequence[Record], because: str | None = None) -> tuple[Equations, WarningLog]:
-        """The equations, and their warnings, `because` of the records chosen; NotStreamed where stretches do not do."""
+        """Equations and warnings (`because`: one about the choice of rows); NotStreamed if stretches do not suffice."""
         if self.differs:
             question, numbered = self._by_record(records)
             return question.answer(numbered, because)
@@ -147,7 +147,7 @@ class Question:
             log.warn(NO_LIKELIHOOD, DataWarning)
         if record is None and self.tails == "student":
             log.warn(NO_TAILS, DataWarning)
-        if record is None and motion.smoothing and whole is not None:  # which sums over all rows need
+        if record is None and motion.smoothing and whole is not None:  # sums over all rows need it
             raise NotStreamed(
                 "the likelihood of the record could not be evaluated near its motion, and records that are read some"
                 " rows at a time are fitted by it alone: give fewer terms, or use some rows (--rows)"
@@ -191,7 +191,7 @@ class Question:
         return answer, log
 
     def _with_hidden(self, motion: Motion, terms: Sequence[Expression]) -> list[Motion]:
-        """The motion with hidden states, if any, where searches start."""
+        """Motions with first paths of the hidden states, one per start of the search; else the motion itself."""
         if not self.roles.hidden:
             return [motion]
         if self.whole is not None or self.smooth != "auto" or not motion.smoothing:
@@ -207,7 +207,7 @@ class Question:
     def _without_hidden(
         self, hidden: tuple[HiddenState, ...], records: Sequence[Record]
     ) -> tuple[Equations, WarningLog]:
-        """The answer without hidden states that the record does not need, nor the terms that they are in."""
+        """The answer without the hidden states, which the record does not need, and terms that contain them."""
         terms, allowed = without_hidden(self.terms, self.allowed, self.roles)
         seen = replace(self, roles=self.roles.seen, terms=terms, allowed=allowed, dictionary=self._seen_dictionary)
         found, log = seen.answer(records)
@@ -220,22 +220,22 @@ class Question:
 
     @property
     def _seen_dictionary(self) -> Specification:
-        """The dictionary without that of a hidden state."""
+        """The dictionary of the equations of measured states."""
         given = of_equations(self.dictionary, self.roles.sought)
         return self.dictionary if given is None else {target: given[target] for target in self.roles.seen.targets}
 
     @property
     def _likelihood(self) -> Callable[..., RecordFit | None]:
-        """The likelihood of the records of a design, as `bayeq.regression.fit.record_of`."""
+        """The likelihood of the records of a design: `bayeq.regression.fit.record_of` with the options given."""
         tolerance = self.rules.tolerance
         return partial(record_of, smooth=self.smooth, dictionary=self.dictionary, prior=self.prior, tolerance=tolerance)
 
     def _record(
         self, design: Design, known: Sequence[str], log: WarningLog, others: Sequence[Motion]
     ) -> tuple[RecordFit | None, tuple[str, ...], tuple[Constraints, ...]]:
-        """The likelihood of the records, and what is known that holds, as text and of each equation.
+        """The likelihood of the records, and the constraints that hold, as texts and per equation.
 
-        It is compared with that without ties and equalities, which is taken where the record contradicts them.
+        It is compared with the likelihood without ties and equalities; those that the record contradicts are dropped.
         """
         dropped = {term.name: term.reason for term in design.dropped}
         if not self.conserved:
@@ -278,7 +278,7 @@ class Question:
         return given(kept)
 
     def _by_record(self, records: Sequence[Record]) -> tuple[Question, list[Record]]:
-        """The question with a candidate difference of each coefficient that may differ, and numbered records."""
+        """The question with a candidate difference of each coefficient that may differ, and records with indicators."""
         if self.whole is not None:
             raise InputError("differs: the records have to be in memory: choose some rows, --rows")
         numbered, names, terms, allowed = with_differences(self.differs, records, self.terms, self.allowed)
@@ -286,7 +286,7 @@ class Question:
         return replace(self, roles=roles, terms=terms, allowed=allowed, differs=()), numbered
 
     def _motion(self, records: list[Record], log: WarningLog) -> tuple[Motion, list[Record]]:
-        """States, and the records that they are of."""
+        """Estimated motion, and the prepared records that it describes."""
         try:
             learned = None if self.whole is None else self.whole.learned
             pieces, roles, share = _prepared(records, self.roles.seen, self.smooth, self.holdout, log, learned)
@@ -307,7 +307,7 @@ class Question:
         return motion, pieces
 
     def _calibrated(self, motion: Motion, pieces: Sequence[Record]) -> Motion:
-        """The motion of channels whose lags and factors are taken out, as the likelihood of the record finds them."""
+        """Motion with the lags and factors of channels removed, as estimated by the likelihood of the record."""
         sensors = motion.sensors
         by_likelihood = self.smooth == "auto" and motion.smoothing and not any(map(counts_rows, pieces))
         if by_likelihood and self.whole is None:
@@ -345,7 +345,7 @@ class Question:
     def _kept(
         self, terms: tuple[Expression, ...], known: Sequence[str], motion: Motion, log: WarningLog
     ) -> tuple[tuple[Expression, ...], Bools]:
-        """The candidates, and where they may stand; of too many those that explain most, or that are constrained."""
+        """Candidates and `allowed` (C, P); of too many, the constrained, the simplest, and those that explain most."""
         most = LIKELIHOOD.most_candidates // len(motion.roles.chains) - 1
         if len(terms) <= most:
             return terms, self.allowed
@@ -359,7 +359,7 @@ class Question:
         return tuple(terms[int(j)] for j in kept), self.allowed[:, kept]
 
     def _design(self, motion: Motion, terms: Sequence[Expression], allowed: Bools) -> Design:
-        """The dictionary on the rows: of all of them, where motion is not smoothed."""
+        """The design of the terms; with moments of all rows of a long record if the motion is not smoothed."""
         if self.whole is None or motion.smoothing:
             return build_design(terms, motion, lambda done, total: self.step("dictionary", done, total), allowed)
         return self.whole.design(motion, terms, allowed, motion.holdout)
@@ -367,12 +367,12 @@ class Question:
     def _of_all_rows(
         self, design: Design, record: RecordFit | None, log: WarningLog
     ) -> tuple[Design, RecordFit] | None:
-        """The likelihood of all rows, those held out among them; None where the answer is of those for training."""
+        """Design and likelihood of all rows, held-out ones included; None if the answer is from the training rows."""
         motion, whole = design.motion, self.whole
         if record is None or not (motion.held_out or whole is not None):
             return None
         of_all = build_design(design.terms, motion.whole, allowed=design.allowed)
-        # columns that a single row of those held out decides may be copies of each other there
+        # one extreme held-out row may make columns collinear, which leaves other usable terms
         if of_all.names != design.names:
             if whole is None:
                 return None
@@ -384,7 +384,7 @@ class Question:
         return None if found is None else (self._judged(self._at_values(of_all, found), found), found)
 
     def _with_values(self, terms: tuple[Expression, ...], motion: Motion) -> tuple[Expression, ...]:
-        """The terms with first values of the constants inside them."""
+        """The terms with starting values of the constants inside them."""
         unknown = next((term for term in terms if term.unknowns or term.choice), None)
         if unknown is None:
             return terms
@@ -402,7 +402,7 @@ class Question:
         return first_values(terms, motion, self.allowed)
 
     def _at_values(self, design: Design, record: RecordFit | None) -> Design:
-        """The dictionary with the constants that the likelihood found."""
+        """The design with the values of constants inside terms that the likelihood found."""
         if record is None:
             unknown = next((term.text for term in design.terms if term.unknowns), None)
             if unknown is not None:
@@ -418,7 +418,7 @@ class Question:
         return build_design(terms, with_found_laws(design.motion, terms), allowed=design.allowed)
 
     def _judged(self, design: Design, record: RecordFit | None) -> Design:
-        """The dictionary on the motion that equations are judged by."""
+        """The design on the motion by which equations are judged."""
         motion = design.motion if record is None else record.judged(design.motion)
         if motion.records is design.motion.records:
             return replace(design, motion=motion)
@@ -434,7 +434,7 @@ class Question:
         log: WarningLog,
         scored: Sequence[Equation] = (),
     ) -> tuple[tuple[Equation, ...], Scores | None, list[Selection]]:
-        """The equations of a likelihood, or of rows; where they were scored before, with those scores."""
+        """Equations by the likelihood or from rows as measured; with the scores of the `scored` ones, if given."""
         regressions = regressions_of(design, record)
         self.step("inference", 0, len(regressions))
         fits = fit_equations(
@@ -448,8 +448,7 @@ class Question:
 def _prepared(
     records: list[Record], roles: Roles, smooth: Smooth, holdout: float, log: WarningLog, learned: Learned | None
 ) -> tuple[list[Record], Roles, float]:
-    """Records without bad samples, divided at gaps that cannot be bridged, chains without channels that were computed
-    from others, and the share of the rows to hold out."""
+    """Records without bad samples, divided at gaps; roles without channels computed from others; share to hold out."""
     share = held_out_share(holdout, sum(record.n for record in records))
     require_varying(records, roles.channels)
     require_steps(records)
@@ -469,7 +468,7 @@ def _prepared(
 
 
 def _still(records: Sequence[Record], names: Sequence[str], share: float) -> list[str]:
-    """Inputs that do not change in the rows of any record before those to be held out."""
+    """Inputs that are constant over the training rows of all records."""
     cuts = [cut_at(record.n, share) for record in records]
     if not share or sum(cuts) < LEAST_TRAINING_ROWS:
         return []
@@ -479,7 +478,7 @@ def _still(records: Sequence[Record], names: Sequence[str], share: float) -> lis
 
 
 def _inspect(motion: Motion, records: Sequence[Record], holdout: float, log: WarningLog) -> None:
-    """Refuse too few rows, and warn of rows that cannot be used in full."""
+    """Refuse values out of range and too few training rows; warn if no rows can be held out."""
     for rows in motion.records:
         require_in_range(rows.columns, rows.name)
     total = sum(record.n for record in records)
@@ -491,7 +490,7 @@ def _inspect(motion: Motion, records: Sequence[Record], holdout: float, log: War
 
 
 def _channel_messages(motion: Motion, records: Sequence[Record]) -> list[str]:
-    """What of the channels does not fit the others, a sentence each."""
+    """Messages about channels that contradict each other, a sentence each."""
     roles = motion.roles.seen
     if roles.discrete:
         return []
@@ -504,7 +503,7 @@ def _channel_messages(motion: Motion, records: Sequence[Record]) -> list[str]:
 
 
 def _constrained(known: Sequence[str], design: Design, method: str) -> tuple[Constraints, ...]:
-    """What is known of the coefficients of each equation, among the terms that can be used."""
+    """Constraints of each equation on usable terms; InputError for signs or bounds that the method does not take."""
     dropped = {term.name: term.reason for term in design.dropped}
     found = parse_constraints(known, design.terms, design.motion.roles.targets, dropped)
     if method not in SIGNED and any(np.isfinite(one.limits).any() for one in found):
@@ -516,7 +515,7 @@ def _constrained(known: Sequence[str], design: Design, method: str) -> tuple[Con
 def _units(records: Sequence[Record], roles: Roles, log: WarningLog) -> dict[str, str]:
     units, conflicts = channel_units([record.units for record in records], roles.chains, roles.inputs, records[0].clock)
     log.extend(conflicts, DataWarning)
-    if any(map(counts_rows, records)) and not roles.discrete:  # derivatives that are not measured are per sample
+    if any(map(counts_rows, records)) and not roles.discrete:  # estimated derivatives are per sample
         return {name: unit for name, unit in units.items() if name in roles.channels}
     if roles.timed:
         units[TIME] = records[0].clock
@@ -526,7 +525,7 @@ def _units(records: Sequence[Record], roles: Roles, log: WarningLog) -> dict[str
 def _in_radians(
     terms: Sequence[Expression], known: Sequence[str], units: Mapping[str, str], log: WarningLog
 ) -> tuple[tuple[Expression, ...], tuple[str, ...]]:
-    """Terms, and what is known of them, with sines of radians where channels are in degrees; other units are named."""
+    """Terms and constraints with degrees converted to radians; warns about this and about arguments with a unit."""
     written = tuple(in_radians(term, units) for term in terms)
     changed = [(term.text, now.text) for term, now in zip(terms, written, strict=True) if now != term]
     if changed:
@@ -544,7 +543,7 @@ def _in_radians(
 
 
 def _require_unambiguous(terms: Sequence[Expression], records: Sequence[Record], roles: Roles) -> None:
-    """Check that t, pi and e of terms are no channels of records that are neither in a chain nor an input."""
+    """Raise InputError for t, pi or e in a term if the record has a channel of that name without a role."""
     for term in terms:
         written = term.names | term.constants
         for name in sorted(written.intersection({TIME, *CONSTANTS}).difference(roles.names)):

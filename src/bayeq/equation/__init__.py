@@ -1,1 +1,1 @@
-"""The answer: `Equations`, each an `Equation`, as text, numbers and files."""
+"""The answer of `discover`: `Equations`, an `Equation` for each coordinate, as text, numbers and files."""

@@ -1,4 +1,4 @@
-"""Equations along records: these prepared as `discover` does, predictions, free runs, scores, and output error."""
+"""Equations run along records: preparation as in `discover`, states at each row, free runs, scores, output error."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ LAST = 0.2
 
 
 def prepared(eq: Answer, records: Sequence[Record], divide: bool = False, level: int = 3) -> list[Record]:
-    """Records as they were measured, without bad samples, and with `divide` divided at long gaps.
+    """The records with NaN in place of bad samples and, with `divide`, divided at long gaps.
 
-    DataWarning of such samples and gaps, at a `level` as in `warnings.warn`, unless `discover` has said the same.
+    Warns (DataWarning, stack level `level`) about bad samples and gaps that `discover` has not reported before.
     """
     roles = _without_targets(eq.roles.seen, records)
     found, messages = cleaned(records, roles, eq.smooth)
@@ -40,14 +40,14 @@ def prepared(eq: Answer, records: Sequence[Record], divide: bool = False, level:
         found, more = divided_at_gaps(found, roles, eq.smooth)
         messages += more
     for message in dict.fromkeys(messages):
-        named = f"{records[0].label}: {message}"  # as it is said of several records
+        named = f"{records[0].label}: {message}"  # how `discover` writes it for several records
         if message not in eq.warnings and (len(records) > 1 or named not in eq.warnings):
             warnings.warn(message, DataWarning, stacklevel=level)
     return found
 
 
 def in_units_of(eq: Answer, record: Record) -> tuple[Record, list[str]]:
-    """A record in the units of equations, where both are known, and what was converted; InputError if it cannot be."""
+    """The record in the equations' units, where both are known, and notes on conversions; InputError if none exists."""
     wanted = {name: unit for name, unit in eq.units.items() if name in eq.roles.channels}
     record, notes, others = in_units(record, wanted)
     for name in others:
@@ -59,13 +59,13 @@ def in_units_of(eq: Answer, record: Record) -> tuple[Record, list[str]]:
 
 
 def _without_targets(roles: Roles, records: Sequence[Record]) -> Roles:
-    """The roles without static laws whose target a record lacks: nothing but the law depends on it."""
+    """The roles without the static laws whose target is missing from a record: only that law needs the target."""
     lacking = [c for c in roles.chains if c.static and not all(c.target in record.channels for record in records)]
     return roles.with_chains([chain for chain in roles.chains if chain not in lacking]) if lacking else roles
 
 
 def rows_of_record(record: Record, roles: Roles, smooth: Smooth, sensors: Sensors) -> dict[str, Floats]:
-    """States and inputs at every row of a record (n,), with straight lines where `estimate_motion` has no row."""
+    """States and inputs at every row of a record, (n,) each, interpolated where `estimate_motion` gives no row."""
     rows = estimate_motion([record], _without_targets(roles, [record]), smooth, sensors=sensors).records[0]
     if rows.n == record.n:
         return dict(rows.columns)
@@ -113,7 +113,7 @@ def scores(
         time, first = require_time(record, "a free run"), start
         if first is None:
             cut = whole.n - max(int(share * whole.n), LEAST_ROWS)
-            # the first row from there on that had not been dropped
+            # the motion may have dropped rows of the record: find its first held-out row by time
             moment = 0.5 * (whole.time[cut - 1] + whole.time[cut]) if cut else time[0]
             first = min(int(np.searchsorted(time, moment)), record.n - LEAST_ROWS)
         window = window_of(record, first, rows)

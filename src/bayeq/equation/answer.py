@@ -1,4 +1,4 @@
-"""What was found: the data it is from, and the equations as tables, formulas and functions."""
+"""`Answer`: the discovered equations as tables, formulas and functions, and a summary of the data they come from."""
 
 from __future__ import annotations
 
@@ -35,36 +35,36 @@ from bayeq.states import Chain, Motion, Roles, Sensors, Smooth
 if TYPE_CHECKING:
     import pandas as pd
 
-# The constant as a term, as libraries of polynomials call it.
+# Name of the constant as a term, as in libraries of polynomials.
 CONSTANT = "1"
 
 
 @dataclass(frozen=True, slots=True)
 class DataSummary:
-    """What the equations were found from."""
+    """The data that the equations were found from: records, rows, sampling and noise."""
 
     files: tuple[str, ...]  # names of the records
-    n: int  # measured rows in all, used, and held out
+    n: int  # measured rows in all; of these, rows used (`n_train`) and rows held out
     n_train: int
     n_held_out: int
     estimated: tuple[str, ...] = ()  # derivatives that were not measured but estimated
     smoothed: bool = False  # by the kinematic smoother
     holdout: float = 0.0  # share of the rows of each record that was held out
-    refitted: bool = False  # whether, scored on the rows held out, the equations were then found from all rows
+    refitted: bool = False  # whether the equations, once scored on the rows held out, were found again from all rows
     measured: Measured = field(default_factory=Measured)  # rates and ranges, for the plan of a next measurement
-    sensors: Sensors = field(default_factory=Sensors)  # what was known of the channels
+    sensors: Sensors = field(default_factory=Sensors)  # noise, factors, lags and tails of the channels
     seconds: float | None = None  # length of all records together [s]; None where time is not known
-    clock: str = "s"  # unit of time, or "year" of records that are counted in years: of `seconds` and `fs` too
-    rows_as_time: bool = False  # whether rows count as time, which was not known: coefficients are per sample
-    band: tuple[float, float] | None = None  # frequencies [Hz] between which the equations were to be fitted
-    stretches: int = 0  # of long records, that noise levels, verdict and free runs are of; 0 if of all rows
-    # how inputs go between their samples, as the likelihood found it; others are smooth
+    clock: str = "s"  # unit of time, of `seconds` and of 1/`fs`: "s", or "year" for records in years
+    rows_as_time: bool = False  # whether row numbers replace an unknown time: coefficients are then per sample
+    band: tuple[float, float] | None = None  # frequency band [Hz] to which the fit was restricted, if it was
+    stretches: int = 0  # stretches of long records that give noise levels, verdict and free runs; 0: all rows do
+    # interpolation of inputs between samples, as the likelihood found it; other inputs are smooth
     interpolation: Mapping[str, Interpolation] = field(default_factory=dict)
-    # standard deviation of the noise of the channels, in their units, as the likelihood found it
+    # standard deviation of each channel's noise, in its unit, as estimated by the likelihood
     noise_sd: Mapping[str, float] = field(default_factory=dict)
 
     def of_stretches(self, files: Sequence[str], used: int, held_out: int, stretches: int) -> Self:
-        """The summary of all rows, this being that of some stretches of them."""
+        """The summary for all rows of long records, from this one for stretches of them."""
         n = used + held_out
         seconds = None if self.seconds is None else self.seconds * n / max(self.n, 1)
         return replace(
@@ -84,14 +84,14 @@ class DataSummary:
 
     @property
     def sampling(self) -> tuple[str, str] | None:
-        """Rate and length as text; None where time is not known."""
+        """Sampling rate and length of the records as text; None where time is not known."""
         if self.fs is None or self.seconds is None:
             return None
         return rate_and_length(f"{self.fs:.6g}", f"{self.seconds:.4g}", self.clock)
 
     @classmethod
     def of(cls, records: Sequence[Record], motion: Motion, refitted: bool = False) -> Self:
-        """The summary of some records and their motion."""
+        """The summary of records and their motion."""
         used, held_out = motion.counts
         rows_as_time = any(map(counts_rows, records))
         return cls(
@@ -119,10 +119,10 @@ class DataSummary:
 
 
 class EquationTuple(tuple[Equation, ...]):
-    """Equations in the order of the chains: a tuple of `Equation`, and a list of strings where it is called.
+    """A tuple of `Equation` in the order of the chains; calling it gives the equations as strings.
 
-    ``eq.equations[0]`` is an `Equation`; ``eq.equations()`` are the lines that are printed, as those who come from
-    PySINDy expect them.
+    ``eq.equations[0]`` is an `Equation`; ``eq.equations()`` is the list of printed lines, like PySINDy's method of this
+    name.
     """
 
     __slots__ = ()
@@ -138,18 +138,18 @@ class HiddenState:
 
     state: str  # its name
     log_odds_without: float  # ln of the odds of the best equations without hidden states against those with them
-    stated: bool = True  # whether its law was stated; otherwise it was found, terms of a dictionary
+    stated: bool = True  # whether its law was stated; otherwise the law was found from terms of a dictionary
 
 
 def with_shown(chain: Chain, terms: Sequence[Expression], shown: Posterior) -> Chain:
-    """The chain, that of a hidden state whose law was found with the terms shown."""
+    """The chain; for a hidden state whose law was found, with the terms shown and their coefficients as its law."""
     pairs = zip(shown.coef.tolist(), terms, shown.support, strict=True)
     return chain.with_found([(value, term) for value, term, inside in pairs if inside]) if chain.found else chain
 
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """The equations that were found and what they are as data, text of formulas and functions; see `Equations`."""
+    """The equations that were found, with their export as tables, formulas and functions; see `Equations`."""
 
     equations: EquationTuple
     inputs: tuple[str, ...]
@@ -174,7 +174,7 @@ class Answer:
         return iter(self.equations)
 
     def __getitem__(self, key: int | str) -> Equation:
-        """By position, or by the name of the target."""
+        """The equation at a position, or of the target of this name."""
         return {one.target: one for one in self.equations}[key] if isinstance(key, str) else self.equations[key]
 
     @property
@@ -199,7 +199,7 @@ class Answer:
 
     @property
     def differing(self) -> tuple[str, ...]:
-        """Terms whose coefficients may differ by record, each beside an input that numbers one, ``x*run2``."""
+        """Terms with a coefficient for each record: their products with `numbers` are terms too, ``x*run2``."""
         trees = [term.tree for equation in self.equations for term in equation.terms]
         numbered = [
             tree for tree in trees if isinstance(tree, Binary) and tree.op == "*" and tree.right in self._numbers
@@ -208,7 +208,7 @@ class Answer:
 
     @cached_property
     def numbers(self) -> tuple[str, ...]:
-        """Inputs that number records whose coefficients differ, 1 in one of them and 0 in others: run2, run3."""
+        """Indicator inputs of records with coefficients of their own, 1 in one record and 0 in others: run2, run3."""
         return tuple(one.name for one in self._numbers) if self.differing else ()
 
     @cached_property
@@ -223,11 +223,11 @@ class Answer:
 
     @property
     def verdict(self) -> Verdict:
-        """Whether the equations were found: the worst verdict of them."""
+        """Whether the equations were found: the worst of their verdicts."""
         return worst([(equation.target, equation.verdict) for equation in self.equations])
 
     def known(self) -> tuple[Constraints, ...]:
-        """What `constraints` say of the coefficients of each equation."""
+        """The parsed constraints on the coefficients of each equation, without conserved sums."""
         dropped = {term.name: term.reason for term in self.dropped}
         targets = [equation.target for equation in self.equations]
         texts = [text for text in self.constraints if not text.endswith(CONSERVED)]
@@ -279,18 +279,18 @@ class Answer:
         Parameters
         ----------
         module : "numpy" or "jax"
-            Of the arrays. JAX computes in single precision unless ``jax_enable_x64`` is set.
+            Library of the arrays. JAX computes in single precision unless ``jax_enable_x64`` is set.
 
         Returns
         -------
         callable
-            Takes states (d,) or (d, n) in the order of `states`, inputs (m,) or (m, n), and times; returns derivatives
-            by time of the shape of the states. SciPy's ``solve_ivp`` takes it with ``vectorized=True``.
+            Takes states (d,) or (d, n) in the order of `states`, inputs (m,) or (m, n), and times; returns time
+            derivatives in the shape of the states. SciPy's ``solve_ivp`` takes it with ``vectorized=True``.
 
         Raises
         ------
         UnknownNameError
-            Another module.
+            An unknown `module`.
         MissingExtraError
             JAX is not installed.
         """
@@ -307,7 +307,7 @@ class Answer:
         Raises
         ------
         UnknownNameError
-            Another language.
+            An unknown `language`.
         InputError
             Terms that the language cannot express.
         """
@@ -332,8 +332,8 @@ class Answer:
         Returns
         -------
         (d,) array
-            In the unit of each state per second, also where the channels of a chain have units that do not belong
-            together (see `Equation.unit_gains`). Where there are static laws alone: their targets.
+            In the unit of each state per second, even if the units of a chain's channels are inconsistent (see
+            `Equation.unit_gains`). If all laws are static: their targets.
         """
         values = _numbers(state, "the state")
         if values.shape != (len(self.states),):
@@ -350,7 +350,7 @@ class Answer:
 
     @cached_property
     def _laws(self) -> list[Law]:
-        """The laws, each solved for its highest derivative where others stand in it."""
+        """The laws; where terms hold highest derivatives, the system is solved for these."""
         return solved_laws([one.law for one in self.equations])
 
     def dynamics(self, intercepts: Sequence[bool] | None = None) -> Dynamics:
@@ -359,12 +359,12 @@ class Answer:
         Parameters
         ----------
         intercepts : sequence of bool, optional
-            Of each equation, whether its intercept is in.
+            For each equation, whether it has an intercept.
 
         Returns
         -------
         Dynamics
-            What `simulate` integrates.
+            The system that `simulate` integrates.
         """
         return Dynamics.of([equation.law for equation in self.equations], self.roles, intercepts)
 

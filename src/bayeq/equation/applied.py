@@ -1,6 +1,6 @@
 """Equations applied to records that they were not found from: scores, bands, and whether they hold there.
 
-`test_errors` is for records that others have split into a beginning to start from, and the rows that are scored.
+`test_errors` is for benchmarks that prescribe the first rows for the initial state and score the others.
 """
 
 from __future__ import annotations
@@ -33,48 +33,48 @@ from bayeq.states.prepare import in_samples, numbered
 # Runs that err by more than this share of the spread follow a record only roughly.
 ROUGHLY = 0.3
 
-# A record that goes beyond the range that the equations are from by this share is outside of it.
+# A record is out of range if it exceeds the range of the equations' records by more than this share of it.
 BEYOND = 0.1
 
-# Two rows are the least that a run can go over, and ten those from which an initial state can be estimated.
+# Least rows of a free run, and least rows from which an initial state is estimated.
 LEAST_ROWS, LEAST_SKIPPED = 2, 10
 
 
 @dataclass(frozen=True, slots=True)
 class Error:
-    """How far a prediction is from what was measured."""
+    """Errors of a prediction against the measurement."""
 
     nrmse: float  # root mean squared error over the standard deviation of the channel; infinite for a run that blew up
-    rms: float  # the same in the unit of the channel
+    rms: float  # root mean squared error in the unit of the channel
     unit: str | None  # that unit, where it is known
     inside: float | None  # share of the measured samples within the 95 % band
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """What equations predict of records."""
+    """Predictions of equations for records, compared with the measurement."""
 
     kind: str  # "follows", "follows roughly", "follows for a period" or "does not hold"
     reason: str  # the same in a sentence
     text: str  # the equations
     files: tuple[str, ...]  # names of the records
-    rows: int  # that predictions were compared on
+    rows: int  # number of rows compared
     fs: float | None  # rate of the first record [Hz]; None where rows count as time
-    seconds: float | None  # length of all; None as well
-    # by target: the right-hand side at the measured states and inputs of each row. The band holds the noise.
+    seconds: float | None  # length of all records; None where rows count as time
+    # by target: error of the right-hand side at the measured states and inputs of each row; the band includes noise
     one_step: Mapping[str, Error]
-    # by measured state: runs from the first row of each record, driven by its inputs. The band is that of the
-    # coefficients, of what terms leave out and of the noise of the samples, as far as they are known.
+    # by measured state: error of free runs from the first row of each record. The band includes the uncertainty of the
+    # coefficients, the discrepancy and the noise of the samples, as far as they are known
     free_run: Mapping[str, Error]
-    # by target the normalised error of free runs over one period; empty where records are too short
+    # by target: normalised error of free runs over one period; empty if records are too short
     windows: Mapping[str, float]
     blew_up_at: float | None  # time [s] at which a free run left any reasonable range
-    notes: tuple[str, ...]  # what to know about the comparison
+    notes: tuple[str, ...]  # units converted or assumed, ranges exceeded
     runs: tuple[tuple[str, Forecast], ...]  # the free run of each record, by its name
     clock: str = "s"  # unit of time
 
     def to_dict(self) -> dict[str, Any]:
-        """What ``bayeq predict --json`` prints; None for the infinite error of a run that blew up."""
+        """The data that ``bayeq predict --json`` prints; None for the infinite error of a run that blew up."""
         return {
             "version": version("bayeq"),
             "verdict": {"kind": self.kind, "reason": self.reason},
@@ -125,7 +125,7 @@ class Prediction:
 
 
 def as_equations_have_them(equations: Equations, record: Record) -> tuple[Record, list[str]]:
-    """A record in the units and time of the equations, and what was converted or taken; InputError if it cannot be."""
+    """The record in the equations' units and time, and notes on units converted or assumed; else InputError."""
     where = record.label
     moving = bool(equations.states) and not equations.roles.discrete
     if moving and counts_rows(record) and not equations.data.rows_as_time:
@@ -148,10 +148,10 @@ def as_equations_have_them(equations: Equations, record: Record) -> tuple[Record
 
 
 def apply_to(equations: Equations, records: Sequence[Record], draws: int = 200, seed: int = 0) -> Prediction:
-    """What equations predict of records that have all their channels, and time, and whether they hold there.
+    """Predictions for records with time and all channels of the equations, and the verdict whether these hold there.
 
-    Draws are runs with coefficients from the posterior, for the bands. InputError: channels that are missing, units
-    that cannot be converted, no time. DataWarning: samples that are missing or left out.
+    `draws` runs with coefficients from the posterior give the bands. InputError: channels that are missing, units that
+    cannot be converted, no time. DataWarning: samples that are missing or left out.
     """
     records = numbered(records, equations.numbers)
     if equations.roles.discrete:
@@ -165,20 +165,20 @@ def apply_to(equations: Equations, records: Sequence[Record], draws: int = 200, 
         raise InputError(f"{records[0].label}: too few rows to predict; give two or more")
     notes = [*chain.from_iterable(converted), *_out_of_range(equations, pieces)]
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DataWarning)  # what was left out has been said
+        warnings.simplefilter("ignore", DataWarning)  # samples left out have been reported
         scores = along.scores(equations, pieces, start=0)
         driven = pieces if equations.states else []
         runs = tuple((piece.name, along.free_run(equations, piece, draws=draws, seed=seed)) for piece in driven)
         one_step = {
             one.target: _single_step(equations, one, pieces, scores.one_step[one.target])
             for one in equations
-            if not one.chain.hidden  # whose samples are the equation's own
+            if not one.chain.hidden  # a hidden state has no samples to compare with
         }
         motion = estimate_motion(pieces, equations.roles, equations.smooth, sensors=equations.data.sensors)
         windows = window_errors(equations.dynamics(), replace(motion, courses=equations.data.interpolation))
     noise = {**state_noise(motion), **equations.data.noise_sd}
     forecasts = [run for _, run in runs]
-    unknown = None if equations.roles.discrete else 0.0  # of maps no smoother has learned it
+    unknown = None if equations.roles.discrete else 0.0  # no smoother estimates the noise of maps
     free_run = {name: _free_run(name, forecasts, noise.get(name, unknown), e) for name, e in scores.free_run.items()}
     by_target = {one.target: found[0] for one, found in zip(equations, windows, strict=True) if found is not None}
     kind, reason = _verdict(one_step, free_run, by_target)
@@ -202,7 +202,7 @@ def apply_to(equations: Equations, records: Sequence[Record], draws: int = 200, 
 
 
 def _out_of_range(equations: Equations, records: Sequence[Record]) -> list[str]:
-    """Channels that go beyond what the equations were found from."""
+    """Notes on channels that exceed their range in the equations' records."""
     out = []
     for name, (low, high) in equations.data.measured.ranges.items():
         if not all(name in record.channels for record in records):
@@ -233,7 +233,7 @@ def _single_step(equations: Equations, equation: Equation, pieces: Sequence[Reco
 
 
 def _free_run(name: str, runs: Sequence[Forecast], noise: float | None, nrmse: float) -> Error:
-    """The error of a state along the free runs, and the share of its samples within their bands, noise in these."""
+    """The error of a state along the free runs, and the share of its samples in their bands, widened by noise."""
     samples = np.concatenate([run.measured[name] for run in runs])
     unit = next((run.units[name] for run in runs if name in run.units), None)
     inside: float | None = None
@@ -274,12 +274,12 @@ class TestError:
     __test__ = False  # for pytest: this is no class of tests
 
     record: str  # its name
-    channel: str  # the state that was measured
+    channel: str  # the measured state
     skip: int  # rows at the beginning that the initial state is estimated from
-    rows: int  # those after them, which are scored
+    rows: int  # finite samples after these, which are scored
     rmse: float  # root mean squared error in the unit of the channel; infinite of a run that blew up
     nrmse: float  # the same over the standard deviation of the channel in these rows
-    unit: str | None  # of the channel
+    unit: str | None  # unit of the channel
 
     def __str__(self) -> str:
         unit = f" {self.unit}" if self.unit not in (None, "1") else ""
@@ -291,7 +291,7 @@ class TestError:
 
 
 def test_errors(equations: Equations, records: Sequence[Record], skip: int) -> list[TestError]:
-    """Errors of free runs over records that the equations are not from, one for each measured state.
+    """Errors of free runs over records that the equations were not found from, one for each record and measured state.
 
     Each run is driven by the inputs alone, and begins in the state with which it follows the first `skip` rows best.
     InputError for fewer rows than 10 before or 2 after, or a channel that is missing.

@@ -1,4 +1,4 @@
-"""The answer in a few lines, as `bayeq discover` prints it: verdict, law, checks; `text.render` has all of it."""
+"""The answer in a few lines, as `bayeq discover` prints it: verdict, law, checks; `text.render` prints all."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ if TYPE_CHECKING:
 
 WIDTH = 100
 
-# Runners-up of more than this probability against the equation are rivals, and then probabilities are printed.
+# Runners-up with odds above this against the equation are rivals; then probabilities of terms are printed.
 RIVAL = 0.05
 
-# Terms that are too small to be seen are listed up to this number, and where the others are.
+# Most terms too small to be seen that are listed, and a hint at the option that lists the others.
 FEW, ADVICE = 2, " (--verbose)"
 
-# Terms of an equation of several are listed a line each up to this number.
+# If physical parameters are printed, an equation with more terms lists them in lines, not in a table.
 MOST_ROWS = 6
 
-# An answer that is longer has terms in lines in place of tables, and no empty line above the checks.
+# A longer answer of one equation has terms in lines instead of tables, and no empty line above the checks.
 MOST_LINES = 16
 
-# Functions of a displacement that are neither linear nor cubic; more may be a series.
+# Functions of a displacement, neither linear nor cubic; more of them may be a series for another function.
 MOST_BENT = 2
 
 # Parameters that follow from others and are not printed.
@@ -51,7 +51,7 @@ DERIVED = ("omega_n",)
 
 
 def brief(eq: Answer, folder: str | os.PathLike[str] = "") -> str:
-    """Verdict, law in physical parameters where there are any, equations, checks and source; or what to try."""
+    """Verdict, law in physical parameters if there are any, equations, checks and source; or, without one, advice."""
     verdict = _wrapped(f"verdict: {eq.verdict.kind}: {sentence(eq)}")
     if eq.verdict.kind == "none":
         return "\n".join([*verdict, "", *_wrapped(what_to_try(eq, folder))])
@@ -63,9 +63,9 @@ def brief(eq: Answer, folder: str | os.PathLike[str] = "") -> str:
 
 
 def _answer(eq: Answer, physical: PhysicalParameters | None, compact: bool) -> list[str]:
-    """The law, its parameters and terms, the checks; the terms in tables, or in lines where it is to be compact."""
+    """The law, its parameters and terms, the checks; terms are in tables, or in lines with `compact`."""
     lines, second = list[str](), [one for one in eq.equations if one.chain.order == 2]
-    # the equation that physical parameters are of, if that is one alone
+    # the equation that the physical parameters belong to, if it is only one
     owner = second[0] if len(second) == 1 else eq.equations[0] if len(eq.equations) == 1 else None
     for one in eq.equations:
         own = physical if physical and one is owner else None
@@ -98,7 +98,7 @@ def _answer(eq: Answer, physical: PhysicalParameters | None, compact: bool) -> l
 
 
 def _law(eq: Answer, physical: PhysicalParameters, owner: Equation) -> list[str]:
-    """The law in symbols, where it is one of these, its parameters, and the terms that have no place among them."""
+    """The law in symbols, if all its terms have one; its parameters; intervals of terms without a parameter."""
     in_symbols, symbols = law_in_symbols(eq, physical), {q.symbol for q in physical}
     constants = [
         (row.name, row.coefficient, f"({row.interval})", printable(row.unit), "inside a term")
@@ -114,7 +114,7 @@ def _law(eq: Answer, physical: PhysicalParameters, owner: Equation) -> list[str]
 
 
 def _in_lines(equation: Equation, score: str, certain: bool) -> list[str]:
-    """Terms in doubt, with their probabilities, and the intervals of those that are certain too."""
+    """Terms in doubt with their probabilities; with `certain` also the intervals of all terms shown."""
     rows = text.rows_of(equation)[:-1]
     doubtful = [row for row in rows if row.pip < text.CERTAIN and (row.coefficient or row.pip > RIVAL)]
     listed = ", ".join(
@@ -127,7 +127,7 @@ def _in_lines(equation: Equation, score: str, certain: bool) -> list[str]:
 
 
 def _intervals(equation: Equation, names: Sequence[str], without_constant: bool = False) -> str:
-    """Terms, and by default the constant where there is one, with the intervals of their coefficients."""
+    """Terms, and unless `without_constant` the constant if it matters, with the intervals of their coefficients."""
     *rows, constant = text.rows_of(equation)
     known = {**{row.name: row for row in rows}, "constant": constant}
     listed = [*names, *(["constant"] if equation.intercept_matters and not without_constant else [])]
@@ -146,7 +146,7 @@ def _wrapped(words: str, indent: str = "  ") -> list[str]:
 
 
 def sentence(eq: Answer) -> str:
-    """The verdict's reason in words, behind its kind."""
+    """The verdict's reason as a sentence, to be printed after its kind."""
     verdict = eq.verdict
     if verdict.kind != "found":
         said = verdict.reason if verdict.kind == "none" else str(verdict).partition(": ")[2]
@@ -175,12 +175,12 @@ def what_to_try(eq: Answer, folder: str | os.PathLike[str] = "") -> str:
 
 
 def tabled_parameters(found: PhysicalParameters) -> list[tuple[str, str, str, str, str]]:
-    """Symbol, value, interval, unit and meaning of physical parameters, but for those that follow from others."""
+    """Symbol, value, interval, unit and meaning of physical parameters, without those that follow from others."""
     return [(q.symbol, q.cells[0], *q.cells[2:], q.meaning) for q in found if q.symbol not in DERIVED]
 
 
 def law_in_symbols(eq: Answer, found: PhysicalParameters) -> str | None:
-    """``m*a + c*v + k*x = u`` of a single equation; None where terms or a constant have no place in it."""
+    """``m*a + c*v + k*x = u`` for a single equation; None if a term or the constant has no symbol."""
     symbols, equation = {q.symbol for q in found}, eq.equations[0]
     if not found or len(eq.equations) > 1 or equation.chain.order != 2 or found.unexplained:
         return None
@@ -199,7 +199,7 @@ def law_in_symbols(eq: Answer, found: PhysicalParameters) -> str | None:
 
 
 def _told(found: PhysicalParameters) -> list[Quantity]:
-    """Parameters that are printed: a position of rest that is zero says nothing; shapes of modes are many."""
+    """Parameters that are printed: no position of rest at zero, no derived parameters, no mode shapes."""
     return [q for q in found if (q.mean or q.sd) and q.symbol not in DERIVED and not q.symbol.startswith("phi_")]
 
 
@@ -214,7 +214,7 @@ def _rows(rows: Iterable[tuple[str, ...]]) -> list[str]:
 
 
 def _meaning(quantity: Quantity) -> str:
-    """What a parameter is; ``tau[x]`` says of what it is the time constant."""
+    """Meaning of a parameter; without the names that its symbol holds, as of ``tau[x]``."""
     what, _, of = quantity.meaning.partition(" of ")
     if "[" not in quantity.symbol:
         return quantity.meaning
@@ -223,14 +223,14 @@ def _meaning(quantity: Quantity) -> str:
 
 
 def _doubtful(equation: Equation) -> bool:
-    """Whether terms need their probabilities: one of those shown is not certain, or there is a rival."""
+    """Whether to print probabilities: a term shown is not certain, there is a rival, or a term was left out."""
     pip = equation.posterior.pip[equation.shown_posterior.support]
     rivals = [r for r in equation.runners_up if r.log_odds > np.log(RIVAL)]
     return bool((pip < text.CERTAIN).any() or rivals or equation.left_out)
 
 
 def _table(equation: Equation, score: str, marked: bool) -> list[str]:
-    """Terms with coefficients and intervals; intervals over models are marked beside parameters given the terms."""
+    """Table of terms with coefficients and intervals; with `marked`, intervals over models have their mark."""
     with_pip, (*rows, constant) = _doubtful(equation), text.rows_of(equation)
     short = text.short_names([term.text for term in equation.terms], text.LONGEST_NAME)
     table = [("term", "coefficient", "95 % interval", "unit", score)]
@@ -254,7 +254,7 @@ def checks(eq: Answer) -> str:
         fits, where = [one.train for one in seen], "of the rows used (none were held out)"
     pairs = [(one, fit) for one, fit in zip(seen, fits, strict=True) if fit is not None]
     scores, still = eq.scores, () if eq.scores is None or fits[0] is None else eq.scores.still
-    # of a target that is estimated the error is mostly that of the estimate
+    # the error of an estimated target is mostly that of the estimate, which is not printed
     measured = [(one.target, fit) for one, fit in pairs if one.chain.measured[-1] or one.chain.discrete]
     parts = [f"{target} within {percent(fit.nrmse)}" for target, fit in measured if target not in still]
     if scores is not None and scores.blew_up_at is not None:
@@ -272,7 +272,7 @@ def checks(eq: Answer) -> str:
 
 
 def series(equation: Equation) -> Iterator[str]:
-    """Whether terms may be a series for another function of the displacement: many that are not linear or cubic."""
+    """A hint if many terms in the displacement are neither linear nor cubic: they may be a series for a kink."""
     x = equation.chain.names[0]
     bent = [term.text for term in equation.terms if term.text in equation.shown and term.names == {x}]
     bent = [name for name in bent if name not in (x, f"{x}**3")]
@@ -283,10 +283,10 @@ def series(equation: Equation) -> Iterator[str]:
 def failed(equation: Equation) -> Iterator[str]:
     """Diagnostics that fail, and what to do."""
     found = equation.residuals
-    # of a static law the noise of its inputs is in what is left, here more and there less
+    # residuals of a static law hold the noise of its inputs, which varies with the slope: their tails are heavy anyway
     if found.normality < text.DOUBTFUL and found.kurtosis > 0.0 and not equation.chain.static:
         yield "what is left has heavy tails: try --tails student"
-    # errors of a derivative that is estimated are smooth where the motion is: tests of a law that is found say more
+    # errors of an estimated derivative follow the motion: the tests behind the verdict say more
     by_likelihood = equation.chain.measured[-1] is None or equation.likelihood_model is not None
     tested = by_likelihood and equation.verdict.kind == "found"
     if found.driver is not None and found.driver.p_value < text.DOUBTFUL and not tested:
@@ -298,7 +298,7 @@ def failed(equation: Equation) -> Iterator[str]:
 
 
 def copies(eq: Answer) -> list[str]:
-    """The first of the terms that may stand for others of the equations: the same on the record, and not elsewhere."""
+    """A line on the first candidate equal to a term shown on the record but not elsewhere, and the number of others."""
     shown, found = {name for one in eq.equations for name in one.shown}, list[str]()
     for left in eq.dropped:
         own = next((name for name in shown if left.reason == COPY.format(name)), None)
@@ -342,7 +342,7 @@ def _listed(equation: Equation) -> list[text.Row]:
 
 
 def as_html(eq: Answer) -> str:
-    """What a notebook shows: the verdict, each equation and its terms, physical parameters, checks and warnings."""
+    """HTML for a notebook: the verdict, each equation and its terms, physical parameters, checks and warnings."""
     parts = [paragraph(f"verdict: {eq.verdict.kind}: {sentence(eq)}", strong=True)]
     header = (*HEADER, ENGINES[eq.method].score, "unit")
     for equation in eq.equations:

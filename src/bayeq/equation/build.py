@@ -50,13 +50,13 @@ from bayeq.regression.regression import RecordRegression, Regression, changes_by
 from bayeq.states import Motion
 from bayeq.states.sensors import of_no_unit
 
-# Of a smaller share of the precision of a coefficient that is stated rounding leaves nothing of what the record adds.
+# If the record gives a smaller share of the precision of a stated coefficient, rounding hides the record's estimate.
 TOLD = 1e-8
 
-# Independent numbers whose variance is known to a third.
+# Number of independent values whose variance is known to a third.
 LEAST_NUMBERS = 18.0
 
-# Noise of an input that is hidden in the record: an example of what it would do, a share of its standard deviation.
+# Noise of an input for the example in a warning that the record hides it, as a share of the input's standard deviation.
 NOISE_OF_INPUT = 0.05
 
 # Runner-up models within this log odds are kept; a swap within AMBIGUOUS means columns that cannot be told apart.
@@ -64,14 +64,14 @@ RUNNER_UP_WINDOW = 12.0
 RUNNERS_UP = 5
 AMBIGUOUS = math.log(20.0)
 
-# What tells columns apart that are alike over the range of the motion.
+# Advice on columns that are alike over the range of the motion.
 TELL_APART = "other amplitudes would tell"
 
 
 def build_equations(
     selections: Sequence[Selection], units: Mapping[str, str], log: WarningLog, scored: Sequence[Equation] = ()
 ) -> tuple[tuple[Equation, ...], Scores | None]:
-    """The equations of a system and their scores on the rows held out; fits and verdicts are those `scored` before."""
+    """The equations of a system and their scores on the rows held out; `scored` equations give fits and verdicts."""
     design = selections[0].fit.regression.design
     motion = design.motion
     dynamics = Dynamics.on(motion, design.terms, [one.reported for one in selections])
@@ -102,16 +102,16 @@ def build_equations(
 
 
 def build_equation(selection: Selection, window: tuple[float, str] | None) -> Equation:
-    """The equation of a selection, its fits and diagnostics; `window` is one of the errors of `window_errors`."""
+    """The equation of a selection, with fits and diagnostics; `window` is its entry in `window_errors`."""
     fit = selection.fit
     regression, motion = fit.regression, fit.regression.motion
     shown = selection.reported
     same = selection.shown is fit.posterior
     posterior = shown if same else fit.reported(fit.posterior)
-    if regression.chain.stated:  # all of it is in, with the coefficient 1
+    if regression.chain.stated:  # the stated law has the coefficient 1
         shown, posterior = (replace(one, coef=one.support.astype(np.float64)) for one in (shown, posterior))
     train, held_out = regression.fit(shown), regression.held_out_fit(shown)
-    # of a few rows that are held out an estimated target knows next to nothing
+    # few held-out rows of an estimated target hold too few independent values to judge by
     by_rest = held_out is not None and _numbers(regression) * held_out.n >= LEAST_NUMBERS
     judged, gram = (held_out, regression.held_out) if by_rest else (train, regression.rows)
     assert gram is not None
@@ -119,7 +119,7 @@ def build_equation(selection: Selection, window: tuple[float, str] | None) -> Eq
     variance, whole = gram.yty / gram.n, regression.rows.select([]) + gram.select([]) if by_rest else gram
     noise, share = noise_share(regression, variance), variance / (whole.yty / whole.n) if whole.yty > 0.0 else 1.0
     residuals = regression.residuals(shown, (*motion.roles.inputs, *motion.roles.states))
-    # of a term that equalities tie to others, the rule that decided on these
+    # a term that equalities tie to others has the rule that decided on these
     differ = {
         term.text: selection.why.get(term.text) or next(iter(selection.why.values()))
         for term, inside, seen in zip(regression.design.terms, posterior.support, shown.support, strict=True)
@@ -158,7 +158,7 @@ def build_equation(selection: Selection, window: tuple[float, str] | None) -> Eq
 
 
 def _of_hidden(regression: Regression) -> Verdict:
-    """The verdict on the law of a hidden state that was found: the equations that it is in are judged by the record."""
+    """The verdict on the found law of a hidden state: only whether it is determined; equations with it are judged."""
     z, target = regression.chain.names[0], regression.chain.target
     if isinstance(regression, RecordRegression) and regression.record.flat:
         same = f"sums of {z} and other terms in place of {z} say the same of what is measured"
@@ -167,7 +167,7 @@ def _of_hidden(regression: Regression) -> Verdict:
 
 
 def _numbers(regression: Regression) -> float:
-    """Independent numbers in a row of the target: less than 1 of one that was estimated."""
+    """Independent values in a row of the target: less than 1 if a smoother estimated it."""
     smoothing = regression.motion.estimated_by(regression.k)
     return 1.0 if smoothing is None else smoothing.freedom
 
@@ -175,7 +175,7 @@ def _numbers(regression: Regression) -> float:
 def with_doubts(
     equations: Sequence[Equation], selections: Sequence[Selection], tolerance: float
 ) -> tuple[Equation, ...]:
-    """Equations with verdicts that consider what is left of the record, and other equations beyond the tolerance."""
+    """Equations with verdicts that also consider tests of residuals, and models that differ beyond the tolerance."""
     design = selections[0].fit.regression.design
     again = repeating(design.motion, design.terms)
     found = []
@@ -190,10 +190,10 @@ def with_doubts(
 
 
 def exchangeable(equation: Equation, equations: Sequence[Equation]) -> str | None:
-    """What may change places: the rate of a measured state of first order, and that of a hidden one that drives it.
+    """A sentence if the rates of a measured first-order state and of a hidden state that drives it may be exchanged.
 
-    Two lags in a row are the same in either order. None where another term, a state in the law, or the range of its
-    constant says which is which.
+    Two first-order lags in series respond alike in either order. None if another term, a state in the hidden law, or
+    the range of its constant decides which is which.
     """
     state, own = equation.chain.names[0], equation.shown_coef
     if equation.chain.order != 1 or equation.chain.hidden or state not in own:
@@ -214,10 +214,10 @@ def exchangeable(equation: Equation, equations: Sequence[Equation]) -> str | Non
 
 
 def _doubted(equation: Equation, selection: Selection, tolerance: float, again: Repeating | None) -> Verdict:
-    # of terms within the tolerance other equations are those of the model that has them
+    # if terms were left out within the tolerance, the full model is compared with the alternatives
     full, regression = selection.full or selection, selection.shown_fit.regression
     lacking, coloured, change = regression.tests()
-    # as the likelihood has it, which other equations are compared by
+    # predictions may also differ by tau, the size of the function that the law lacks by the likelihood
     within = max(tolerance, equation.tau)
     others = alternatives_to(full.shown_fit, full.shown_fit.expanded(full.shown), within, equation.tau == 0.0)
     exact = 1.0 - (equation.error_probability or 0.0)
@@ -225,7 +225,7 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
     reversed_channel = next((name for name, gain in gains if name is not None and gain < 0.0), None)
     left, dependent = equation.residuals, None
     if regression.counts_rows and equation.train.nrmse > LEAST_SHOWN and left.n_eff < EQUATION.independent * left.n:
-        dependent = left.n_eff, left.n  # of rows as measured most do not tell anything new
+        dependent = left.n_eff, left.n  # most rows hold no new information
     verdict = doubted(
         equation.verdict,
         equation.chain,
@@ -270,7 +270,7 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
 
 
 def _late(equation: Equation, motion: Motion) -> Suspect | None:
-    """The channel, of several, that most of what is left follows some rows earlier or later."""
+    """The channel that explains most of the residuals with a shift of some rows, as a lag; None if there is none."""
     driver, time = equation.residuals.driver, motion.train[0].time
     channels = motion.roles.channels
     if driver is None or driver.name not in channels or len(channels) < 2 or time is None or motion.roles.discrete:
@@ -286,13 +286,13 @@ def _beyond(name: str, end: float, free: float, sds: float) -> str:
 
 
 def _against_stated(equation: Equation, selection: Selection) -> Iterator[tuple[str, float]]:
-    """What was stated of coefficients and the record contradicts, with what it says without that."""
+    """Stated coefficients that the record contradicts, each with the estimate from the record alone."""
     posterior = equation.posterior
     known = posterior if posterior.projected is None else posterior.projected
     for j, mean, sd in selection.fit.constraints.stated:
         stated, precision = sd**-2.0, known.sd[j] ** -2.0
         alone = precision - stated
-        if not alone > TOLD * precision:  # as of the scale of a hidden state
+        if not alone > TOLD * precision:  # no estimate, as for the scale of a hidden state
             continue
         value = (known.coef[j] * precision - mean * stated) / alone
         if abs(value - mean) > CONTRADICTED * math.hypot(sd, alone**-0.5):
@@ -301,7 +301,7 @@ def _against_stated(equation: Equation, selection: Selection) -> Iterator[tuple[
 
 def _runners_up(fit: RegressionFit, posterior: Posterior) -> tuple[RunnerUp, ...]:
     if isinstance(fit.regression, RecordRegression) and fit.regression.record.task.flows is not None:
-        return ()  # what an equation by itself tells is not what the sum leaves
+        return ()  # odds of one equation by itself do not keep the conserved sum
     problem, limits, shown, names = fit.problem, fit.prior.limits, posterior.support, posterior.names
     moves = neighbours(problem, shown, RUNNER_UP_WINDOW)
     if limits is not None:
@@ -309,7 +309,7 @@ def _runners_up(fit: RegressionFit, posterior: Posterior) -> tuple[RunnerUp, ...
         moves = [replace(move, gain=model_log_posterior(problem, move.apply(shown), limits) - own) for move in moves]
     average = fit.posterior.average
     if average is not None:
-        # what was averaged may know more of models than the information about the one shown
+        # the model average may have more accurate odds than the information matrix about the model shown
         gains = average.log_odds(shown, {move.apply(shown).tobytes(): move.gain for move in moves})
         moves = [replace(move, gain=gain) for move, gain in zip(moves, gains, strict=True)]
     moves = sorted((move for move in moves if move.gain > -RUNNER_UP_WINDOW), key=lambda move: -move.gain)
@@ -324,7 +324,7 @@ def _runners_up(fit: RegressionFit, posterior: Posterior) -> tuple[RunnerUp, ...
 
 
 def _against(equation: Equation, inputs: Sequence[str]) -> str | None:
-    """The one input of an oscillator, if its coefficient is negative and it is no acceleration, of a base."""
+    """The only input of an oscillator, if its coefficient is negative and it is no acceleration (of a base)."""
     found = {name: value for name, value in equation.shown_model.coefficients.items() if name in inputs}
     if equation.chain.order != 2 or equation.chain.discrete or len(found) != 1:
         return None
@@ -337,7 +337,7 @@ Said = Iterator[tuple[str, type[BayeqWarning]]]
 
 
 def warnings_of(equation: Equation, selection: Selection) -> Said:
-    """What makes an equation less than it seems."""
+    """Warnings about an equation: message and category."""
     details = equation.posterior.details
     if not details.converged:
         rhat = "" if details.rhat is None else f", multivariate R-hat {details.rhat:.3g}"
@@ -364,14 +364,14 @@ def warnings_of(equation: Equation, selection: Selection) -> Said:
         why = equation.verdict.reason.removeprefix("no equation found: ").partition(", though")[0].partition(" (")[0]
         why = why.replace("started from a measured state the equation is", "free runs are")
         yield f"no equation: {why.replace(f' of {equation.target}', '')}; check channels", DataWarning
-    else:  # of no equation no terms are shown
+    else:  # without an equation no terms are shown
         yield from _of_rivals(equation, selection)
     yield from _of_residuals(equation, regression)
     yield from _of_hidden_noise(equation, selection.shown_fit.regression)
 
 
 def _of_rivals(equation: Equation, selection: Selection) -> Said:
-    """Which other terms may be in."""
+    """Warnings about other terms that may be in the equation."""
     found, posterior = selection.fit.posterior, equation.posterior
     optimum = found.details.optimum
     if optimum is not None and bool((optimum != found.support).any()):
@@ -417,11 +417,11 @@ def _of_residuals(equation: Equation, regression: Regression) -> Said:
 
 
 def _of_hidden_noise(equation: Equation, regression: Regression) -> Said:
-    """What noise of an input that the record does not show would have done."""
+    """Warnings about noise of inputs that the record hides: the coefficient that it would shift most."""
     for name in inputs_of_hidden_noise(regression, equation.shown_posterior):
         try:
             changes = changes_by_noise(regression, equation.shown_posterior, name, [NOISE_OF_INPUT])
-        except np.linalg.LinAlgError:  # terms that are next to infinite somewhere
+        except np.linalg.LinAlgError:  # terms that are nearly infinite somewhere
             continue
         term, (change,) = max(changes.items(), key=lambda one: abs(one[1][0]))
         shift = f"{100 * NOISE_OF_INPUT:.0f} % would shift {term} by {100 * change:+.2g} %"

@@ -64,9 +64,9 @@ class RunnerUp:
 class Equation:
     """One equation: target = intercept + sum of coefficient x term.
 
-    Two models of the same regression stand in it. The *included* terms are those with a posterior inclusion probability
-    above 0.5; the terms *shown* are those of the equation that is printed, evaluated and integrated. `why` says
-    what a limit, the tolerance or an undecided group makes different (`bayeq.equation.selection.select`).
+    It holds two models of the same regression. The *included* terms are those with a posterior inclusion probability
+    above 0.5; the terms *shown* are those of the equation that is printed, evaluated and integrated. `why` gives the
+    rules by which they differ (`bayeq.equation.selection.select`).
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class Equation:
     terms : tuple of Expression
         All P candidates.
     posterior : Posterior
-        Probabilities, and coefficients given the included terms, in original units.
+        Inclusion probabilities, and coefficients given the included terms, in original units.
     shown_posterior : Posterior
         The same given the terms shown.
     train, held_out : Fit
@@ -87,10 +87,10 @@ class Equation:
     fit : RegressionFit or None
         The regression and its posterior on standardised columns; None for an equation read from a file.
     share : (P,) array or None
-        Share of the target's variance that each term explains: what R2 loses on the training rows when the term is left
-        out and the others are refitted by least squares. NaN for a term that is not shown.
+        Share of the target's variance that each term explains: the loss of R2 on the training rows when the term is
+        left out and the others are refitted by least squares. NaN for a term that is not shown.
     why : mapping of str to str
-        Terms that are included or shown and not both, each with the rule that decided: ``"dependent"``,
+        Terms that are included or shown but not both, each with the rule that decided: ``"dependent"``,
         ``"max_terms"``, ``"tolerance"`` or ``"undecided"``.
     left_out : tuple of LeftOut
         Terms that are included and not shown.
@@ -99,30 +99,30 @@ class Equation:
     units : mapping of str to str
         Units of channels and their derivatives, as far as they are known.
     unit_gains : tuple of float
-        Factor of each derivative's channel to the derivative by seconds of the chain's lowest measured channel: 0.001
-        of v in m/s beside x in mm. Empty where all are 1.
+        Ratio of each channel of the chain to the derivative, by seconds, of the lowest measured channel: 0.001 for v in
+        m/s with x in mm. Empty where all are 1.
     scored : Equation or None
-        What was found with rows held out, where this one was then found from all rows: fits and verdict are its, and
-        the path.
+        The equation found without the rows held out, if this one was then found from all rows: fits, verdict and `path`
+        are those of `scored`.
     models : tuple of CandidateModel
         The likeliest models with their coefficients, the likeliest first.
     shown_fit : RegressionFit or None
-        What the coefficients shown come from, where that is not `fit`.
+        The regression that the coefficients shown come from, if it is not `fit`.
     stored : OverModels or None
         Intervals over models of an equation that was read from a file.
     error_probability : float or None
-        That the law lacks a function of the states, beyond the tolerance; None where rows are taken as measured.
+        Probability that the law lacks a function of the states, beyond the tolerance; None for rows taken as measured.
     tau : float
-        Its most probable size, as a share of the target's standard deviation; 0 where there is none.
+        Most probable size of that function, as a share of the target's standard deviation; 0 where there is none.
     bound : (P,) array or None
-        What the size of a coefficient is below, with a probability of 95 %, were its term added to the included ones.
-        NaN for those.
+        Upper 95 % bound of the magnitude of a coefficient if its term were added to the included ones; NaN for these.
     undetermined : tuple of str
-        Terms that within their bounds could matter (`bayeq.equation.selection.alternatives`), the simplest first.
+        Terms that could change predictions within their bounds (`bayeq.equation.selection.alternatives`), the simplest
+        first.
     constants : tuple of ConstantEstimate
         Constants inside the terms, ``{name}``: the value that terms have, and how well it is known.
     forms : mapping of str to mapping of str to float
-        Of each either-or, the log posteriors of its members.
+        For each either-or, the log posteriors of its members.
     """
 
     chain: Chain
@@ -153,7 +153,7 @@ class Equation:
 
     @property
     def law(self) -> Law:
-        """What a free run needs of the equation: the terms shown."""
+        """The equation with the terms shown, in the form that a free run needs."""
         return Law(self.chain, self.terms, self.shown_posterior, self.unit_gains)
 
     @cached_property
@@ -177,7 +177,7 @@ class Equation:
 
     @cached_property
     def likelihood_model(self) -> Model | None:
-        """Coefficients of the terms shown by the likelihood itself, not projected; None where rows count."""
+        """Coefficients of the terms shown by the likelihood itself, not projected; None for rows taken as measured."""
         own = self.shown_posterior.projected
         if own is None:
             return None
@@ -202,7 +202,7 @@ class Equation:
 
     @property
     def at_ends(self) -> tuple[str, ...]:
-        """What is to be said of constants at the ends of their ranges, and of forms without a likelihood."""
+        """Messages on constants at ends of their ranges, and on members of either-ors that were not compared."""
         units, p = self.constant_units, self.posterior
         ends = (
             text for one in self.shown_constants for text in written.at_end(one, units.get(one.name, ""), self.terms)
@@ -216,23 +216,23 @@ class Equation:
 
     @property
     def coef(self) -> dict[str, float]:
-        """Coefficient of each included term given these, in original units."""
+        """Coefficient of each included term, given the included terms, in original units."""
         return self.included_model.coefficients
 
     @property
     def shown_coef(self) -> dict[str, float]:
-        """Coefficient of each term shown given these, in original units."""
+        """Coefficient of each term shown, given the terms shown, in original units."""
         return self.shown_model.coefficients
 
     @cached_property
     def coef_units(self) -> tuple[str | None, ...]:
-        """Unit of each candidate's coefficient; None where a unit is not known. Those of the intercept are y's."""
+        """Unit of each candidate's coefficient; None where a unit is not known. The intercept has the target's unit."""
         units = {**self.units, **{f"{{{name}}}": unit for name, unit in self.constant_units.items()}}
         return tuple(written.quotient_unit(self.target, term, units) for term in self.terms)
 
     @cached_property
     def constant_units(self) -> dict[str, str]:
-        """Unit of each constant inside the terms, by its place there; those that are not known are left out."""
+        """Unit of each constant inside the terms, by name, from its place there; unknown ones are left out."""
         return written.constant_units(self.terms, self.units)
 
     def with_posterior(self, posterior: Posterior, **changes: Any) -> Equation:
@@ -251,12 +251,12 @@ class Equation:
 
     @property
     def noise_sd(self) -> float:
-        """Standard deviation of what the terms shown leave of the target."""
+        """Standard deviation of the residual that the terms shown leave of the target."""
         return float(np.sqrt(self.shown_posterior.noise_variance))
 
     @property
     def error_share(self) -> float | None:
-        """Share of the target's standard deviation that the terms shown leave beside noise; None where not known."""
+        """Discrepancy of the terms shown, beside noise, as a share of the target's sd; None where it is not known."""
         return None if (own := self.shown_posterior.projected) is None else own.error_share
 
     @property
@@ -271,7 +271,7 @@ class Equation:
 
     @cached_property
     def over_models(self) -> OverModels:
-        """Intervals that know of other models."""
+        """Intervals averaged over models."""
         if self.stored is not None or self.fit is None:
             return self.stored or OverModels(None, None, None)
         return over_models(self.fit, self.posterior, self.shown_fit or self.fit, self.shown_posterior, self.left_out)
@@ -291,7 +291,7 @@ class Equation:
 
     @cached_property
     def _given_in(self) -> Floats:
-        """95 % intervals over the models that hold a term, (P, 2), beside constants around those joint with these."""
+        """95 % intervals over the models that hold a term, (P, 2); with constants, widened to contain `shown_ci95`."""
         given = None if self.shown_posterior.averaged is None else self.over_models.given_in
         given, own = self.shown_ci95 if given is None else given, self.shown_ci95
         around = np.column_stack([np.minimum(given[:, 0], own[:, 0]), np.maximum(given[:, 1], own[:, 1])])
@@ -299,14 +299,14 @@ class Equation:
 
     @cached_property
     def printed_over_models(self) -> Bools:
-        """Terms whose interval is printed over all models that hold the term, (P,)."""
+        """Whether the interval printed for a term is the one over all models that hold it, (P,)."""
         return self.shown_posterior.support & unlike(self._given_in, self.shown_ci95)
 
     @cached_property
     def printed_intercept_ci95(self) -> tuple[float, float]:
-        """95 % interval of the intercept as it is printed: `intercept_ci95`, or the one over models as of terms.
+        """95 % interval of the intercept as it is printed: `intercept_ci95`, or over models if that is `unlike` it.
 
-        An intercept that is probably zero has the former.
+        It is `intercept_ci95` for an intercept that is probably zero, and with constants inside the terms.
         """
         shown, conditional = self.shown_posterior, self.intercept_ci95
         alone = shown.averaged is None or shown.constant.left_out is not None or self.shown_constants
@@ -332,7 +332,7 @@ class Equation:
 
     @property
     def intercept_matters(self) -> bool:
-        """Whether the intercept is written out: it is probably not zero, or else its interval says so."""
+        """Whether the intercept is written out: its probability is over 0.5, or without one its interval excludes 0."""
         if self.shown_posterior.constant.pip is not None:
             return self.shown_posterior.constant.pip > 0.5
         low, high = self.intercept_ci95
@@ -400,14 +400,14 @@ class Equation:
     def to_sympy(self) -> Any:
         """The equation as `sympy.Eq`, with full-precision coefficients.
 
-        The intercept is in it where its 95 % interval excludes zero; `evaluate` and `predict` always add it.
+        The intercept is in it where `intercept_matters`; `evaluate` and `predict` always add it.
         """
         import sympy
 
         return sympy.Eq(sympy.Symbol(self.target), self._right_hand_side(rounded=False), evaluate=False)
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: the verdict, the equation and its terms."""
+        """HTML for a notebook: the verdict, the equation and its terms."""
         p, ends = self.shown_posterior, self.printed_ci95
         rows = []
         for j in np.flatnonzero(p.support):
@@ -426,12 +426,12 @@ class Equation:
         uncertainty : "none", "brackets" or "plus-minus"
             Standard deviations of the coefficients: ``992.6(2.6)\,x`` or ``\left(992.6 \pm 2.6\right)\,x``.
         chains : sequence of Chain, optional
-            Those of other equations, whose derivatives are written with dots too.
+            Chains of other equations, whose derivatives are written with dots too.
 
         Raises
         ------
         InputError
-            Another `uncertainty`.
+            An unknown `uncertainty`.
         """
         import sympy
 
@@ -502,7 +502,7 @@ class Equation:
         return mean, self.shown_posterior.predictive_sd(D)
 
     def path(self, most: int | None = None) -> ParsimonyPath:
-        """The likeliest model of each size, with its evidence and fit, to see where more terms stop to pay.
+        """The likeliest model of each size, with its evidence and fit, which show where further terms stop paying.
 
         Parameters
         ----------
@@ -517,7 +517,7 @@ class Equation:
         Raises
         ------
         InputError
-            An equation that was loaded from a file; `most` no whole number, or below the number of forced terms.
+            An equation that was loaded from a file; `most` not a whole number, or below the number of forced terms.
         """
         judged = self.scored or self
         return parsimony_path(judged.solved(), judged.shown_posterior.support, most)
@@ -555,7 +555,7 @@ class Equation:
     def coarsening(self, powers: ArrayLike | None = None) -> PipCurve:
         """Sensitivity of the PIPs to the power of the likelihood: model averaging as each row counts for less.
 
-        Where the model is only nearly true, terms that compensate for what it lacks vanish long before the others. To
+        If the model is only nearly true, terms that compensate for missing ones vanish long before the others. To
         get the equation at a power, give it to `discover` as ``coarsen``.
 
         Parameters

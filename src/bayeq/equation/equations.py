@@ -49,7 +49,7 @@ class Equations(Answer):
     inputs : tuple of str
         Channels of the inputs.
     method : str
-        The engine that the numbers come from.
+        The inference engine that gave the posterior.
     dictionary : str
         The dictionary's specification.
     smooth : str
@@ -58,9 +58,9 @@ class Equations(Answer):
     dropped : tuple of DroppedTerm
         Candidates that were left out, and why.
     warnings : tuple of str
-        What makes the answer less than it seems.
+        Warnings about the answer.
     constraints : tuple of str
-        What was known of the coefficients.
+        Constraints on the coefficients that were given.
     scores : Scores or None
         Errors of the single step and of the free run on the rows that were held out; None where there are none, or no
         time.
@@ -69,7 +69,7 @@ class Equations(Answer):
     """
 
     def plot(self, record: Record | None = None, ax: Any = None) -> list[Axes]:
-        """A quick look: probabilities and coefficients, or, with a record, the free run against what was measured.
+        """A quick look: probabilities and coefficients, or, with a record, the free run against the measurement.
 
         Parameters
         ----------
@@ -81,7 +81,7 @@ class Equations(Answer):
         Returns
         -------
         list of matplotlib.axes.Axes
-            Those that were drawn on.
+            The axes that were drawn on.
 
         Raises
         ------
@@ -96,9 +96,9 @@ class Equations(Answer):
         return plot_terms(self, ax) if record is None else draw_states(self.simulate(record), ax)
 
     def predict(self, record: Record, return_std: bool = False) -> Any:
-        """Target(s) of a record, eqs. (29)-(30): the right-hand side at its states and inputs as `motion` has them.
+        """Target(s) of a record, eqs. (29)-(30): the right-hand side at its states and inputs as `motion` gives them.
 
-        Bad samples are left out as in `discover`; where samples are missing states and inputs are bridged.
+        Bad samples are left out as in `discover`; states and inputs are interpolated where samples are missing.
 
         Parameters
         ----------
@@ -177,16 +177,16 @@ class Equations(Answer):
             Times and inputs; states where they are measured.
         initial : mapping of str to float, optional
             States at the first row; by default those with which the run follows the first period of the record best,
-            looked for from what was measured, smoothed or estimated there.
+            sought from the measured, smoothed or estimated states there.
         draws, seed : int
-            Further runs for the bands, 0 for none: intercepts and coefficients from their normal posterior given the
-            included terms, and a random force on each target, of the size and the spectrum of what its terms leave out
-            where that is known. The initial state is the same for all.
+            Number of runs for the bands, 0 for none, and seed: intercepts and coefficients are drawn from their normal
+            posterior given the terms shown, and a random force acts on each target, with the size and the spectrum of
+            its discrepancy where that is known. The initial state is the same for all.
         start, rows : int
             First row, and how many; by default all that follow.
         interpolation : "cubic", "linear", "hold" or "band-limited", optional
-            Inputs between their samples: a cubic spline, straight lines, the last sample (commands); by default as the
-            record was found to have them (``data.interpolation``), else a spline.
+            Inputs between samples: a cubic spline, straight lines, the last sample (commands), band-limited; by default
+            as `discover` found them (``data.interpolation``), else a spline.
 
         Returns
         -------
@@ -202,8 +202,8 @@ class Equations(Answer):
         Warns
         -----
         DataWarning
-            As `predict`, where all channels of the chains are in the record: without them nobody can tell a blow of an
-            input from a spike.
+            As `predict`, if the record has all channels: without the response an impact in an input cannot be
+            distinguished from a spike.
         """
         (record,) = self._timed([record], "simulate")
         if all(name in record.channels for name in self.roles.channels):
@@ -254,23 +254,23 @@ class Equations(Answer):
     def refine(
         self, records: Record | Sequence[Record], *, holdout: float = 0.2, interpolation: Interpolation | None = None
     ) -> Self:
-        """The same terms with coefficients by output error: those whose free run comes closest to what was measured.
+        """The same terms with coefficients by output error: those whose free run comes closest to the record.
 
-        Multiple shooting (Bock 1981): a record is divided into segments, each a free run from an initial state of its
-        own, fitted with the coefficients and intercepts of all equations to every measured channel. Segments get longer
-        from fit to fit, up to the whole record, while their runs follow it. An intercept is set to zero unless its
-        interval excludes that.
+        Multiple shooting (Bock 1981) with a segment for each sample: the likelihood of the records is maximised with
+        exact inputs over the coefficients and intercepts of all equations and a path that a discrepancy (process noise)
+        allows to follow the record. The discrepancy shrinks from fit to fit, until the path is a free run. An intercept
+        is set to zero unless it matters (`Equation.intercept_matters`).
 
         Output error needs no derivatives. It gains most where these were not measured, or samples are few per period.
-        It takes the inputs as exact and the terms as complete: where what the runs leave is correlated in time, the
-        equations are returned as they were, since forces that the record does not show (noise of a measured one, a
-        missing term) make intervals too narrow. So they are where free runs over windows of the rows used are worse
-        than before.
+        It takes the inputs as exact and the terms as complete. Forces that are not in the record (noise of a measured
+        one, a missing term) make residuals of runs correlated in time: covariances are then widened, and the equations
+        are returned as they were unless free runs over windows of the rows used become clearly better. They are so,
+        too, where these become worse.
 
-        Constraints of `discover` hold here too: equations between coefficients exactly; of one that may have but one
-        sign, coefficient and standard deviation are those of the posterior that this leaves, as in the regression.
-        Records are prepared as in `discover`, without bad samples and divided at long gaps. Noise that was given of
-        measured channels is used as their weight, that of inputs is not.
+        Constraints of `discover` hold here too: equations between coefficients exactly; a coefficient with a known sign
+        or bound has the mean and standard deviation of the posterior within it, as in the regression.
+        Records are prepared as in `discover`, without bad samples and divided at long gaps. Noise that was given for
+        measured channels is their weight, unless runs leave clearly more; noise of inputs is not used.
 
         Parameters
         ----------
@@ -279,7 +279,7 @@ class Equations(Answer):
         holdout : float
             Share of the rows, the last of each record, that is not used.
         interpolation : "cubic", "linear", "hold" or "band-limited", optional
-            See `simulate`; by default a cubic spline or straight lines, whichever runs follow better.
+            See `simulate`; by default the likeliest of cubic, linear, band-limited and those that `discover` found.
 
         Returns
         -------
@@ -290,7 +290,7 @@ class Equations(Answer):
         Raises
         ------
         InputError
-            No time, too few rows, channels that are missing, no terms to refine, none that constraints leave free, or a
+            No time, too few rows, channels that are missing, no terms to refine, or all fixed by constraints, or a
             conserved sum.
 
         Warns
@@ -299,7 +299,8 @@ class Equations(Answer):
             Nothing better was found, and why; free runs over the rows held out are worse than before; the fit did not
             converge.
         DataWarning
-            As `predict`; runs contradict a known sign, or leave more of a channel than the noise given of it.
+            As `predict`; residuals of runs are correlated in time, or larger than the noise given for a channel; runs
+            contradict a known sign or bound.
         """
         conserved = next((text for text in self.constraints if text.endswith(CONSERVED)), None)
         if conserved is not None:
@@ -307,7 +308,7 @@ class Equations(Answer):
         return along.refinement(self, self._timed(_as_list(records, "refine"), "refine"), holdout, interpolation)
 
     def _timed(self, records: Sequence[Record], purpose: str) -> list[Record]:
-        """Records with row numbers as time, if that of the equations is such and theirs is not known either."""
+        """Records in the equations' units; with row numbers as time, if the equations have them and time is unknown."""
         for record in records:
             if not isinstance(record, Record):
                 raise InputError(f"{purpose} needs a Record (read, Record.from_dataframe), not {type(record).__name__}")
@@ -317,7 +318,7 @@ class Equations(Answer):
         return with_row_numbers(records) if self.data.rows_as_time else records
 
     def _prepared(self, records: Sequence[Record], purpose: str, divide: bool = False) -> list[Record]:
-        """Records without bad samples; what `discover` has said of them is not said again."""
+        """Records without bad samples; warnings that `discover` gave about them are not repeated."""
         return along.prepared(self, self._timed(records, purpose), divide, level=4)
 
     def plan(
@@ -334,12 +335,12 @@ class Equations(Answer):
         seed: int = 0,
         progress: Progress | None = None,
     ) -> Plan:
-        """Which excitation of a next measurement would tell the likeliest models apart best.
+        """The excitation of a next measurement that would best distinguish the likeliest models.
 
         Band-limited noise, sweep and multisine, each in several bands and two amplitudes, are simulated from rest. The
-        information of a design is that between the likeliest model of an equation and its closest rival, whichever is
-        true (Atkinson and Fedorov 1975; Box and Hill 1967): what the wrong one, fitted to the new record, leaves.
-        Models within `odds` of the likeliest are compared; where there is none, the plan is for the coefficients
+        information of a design is the misfit of the wrong model, refitted to the new record, for the likeliest model of
+        an equation and its closest rival, whichever is true (Atkinson and Fedorov 1975; Box and Hill 1967).
+        Models within `odds` of the likeliest are compared; if there is none, the plan is for the coefficients
         (Lindley 1956; Chaloner and Verdinelli 1995).
 
         Parameters
@@ -348,7 +349,7 @@ class Equations(Answer):
             Largest magnitude of the inputs, or their lowest and highest value, by input where they differ; by default
             the range in the record.
         band : (float, float), optional
-            [Hz]; by default where the power of the inputs was.
+            Frequencies [Hz]; by default the band that holds the power of the inputs in the record.
         seconds, fs : float, optional
             Length and sampling rate; by default those of the record, of at most 4000 samples.
         noise : mapping of str to float, optional
@@ -357,9 +358,9 @@ class Equations(Answer):
         limits : mapping of str to float, optional
             Largest magnitude of states. A design whose motion would exceed one is scaled down until it keeps it.
         odds : float
-            At which two models count as told apart.
+            Odds at which two models count as distinguished.
         realisations, seed : int
-            Of every design; at least two.
+            Number of realisations of every design, at least two, and seed.
         progress : callable, optional
             Called with (stage, done, total).
 
@@ -371,12 +372,13 @@ class Equations(Answer):
         Raises
         ------
         InputError
-            Equations without input, or whose file holds no models; names that are not there, numbers out of range.
+            Equations without input, or whose file holds no models; maps, static laws, hidden states or terms in t or in
+            highest derivatives; unknown names, numbers out of range.
 
         Warns
         -----
         DataWarning
-            The verdict on the equations is that none was found.
+            The verdict on the equations is ``none``.
         """
         from bayeq.equation.plan.plan import plan_excitation
 
@@ -406,7 +408,7 @@ class Equations(Answer):
             self.data.measured,
             self.states,
             self.inputs,
-            # of white noise that hides as much as the residuals, which may be correlated in time
+            # the white noise that hides as much as the residuals, which may be correlated in time
             {one.target: one.noise_sd * sqrt(one.residuals.n / one.residuals.n_eff) for one in self.equations},
             amplitude=amplitude,
             band=band,
@@ -436,18 +438,18 @@ class Equations(Answer):
     ) -> PhysicalParameters:
         """Mass, damping, stiffness, natural frequency and damping ratio of an oscillator, with intervals.
 
-        Stiffness and damping are those of small motion about the position of rest, which is listed as ``x0`` where the
-        displacement was measured from elsewhere.
+        For several second-order equations modes and matrices, for first-order ones time constants and gains. Stiffness
+        and damping are those of small motion about the position of rest, listed as ``x0`` if it is not at zero.
 
         Parameters
         ----------
         mass : float, optional
-            In the unit that goes with the channels (kg). By default it follows from the force's coefficient; without a
+            Mass in the unit that fits the channels (kg). By default it follows from the force's coefficient; without a
             force parameters are per unit of mass.
         target, force : str, optional
-            The equation meant, where several are of second order, and the input that is the force, of several.
+            The equation of one oscillator, if several are of second order, and the input that is the force, of several.
         draws, seed : int
-            Of the coefficients' joint posterior.
+            Number of draws from the coefficients' joint posterior, and seed.
 
         Returns
         -------
@@ -457,14 +459,14 @@ class Equations(Answer):
         Raises
         ------
         InputError
-            An equation that is not of second order, or without a restoring term; a record whose time is not known.
+            A map, equations of other orders, no restoring or damping term; a record whose time is not known.
         """
         from bayeq.equation.physical import oscillator_parameters
 
         return oscillator_parameters(self, mass, target=target, force=force, draws=draws, seed=seed)
 
     def to_dict(self) -> dict[str, Any]:
-        """What ``bayeq discover --json`` prints."""
+        """The answer as plain data, as ``bayeq discover --json`` prints it."""
         from bayeq.equation.to_json import to_dict
 
         return to_dict(self)
@@ -480,7 +482,7 @@ class Equations(Answer):
         Raises
         ------
         FileFormatError
-            A place that cannot be written.
+            A file that cannot be written.
         """
         from bayeq.equation.to_json import to_saved
 
@@ -494,20 +496,20 @@ class Equations(Answer):
             raise FileFormatError(f"{place}: cannot be written: {reason}") from None
 
     def to_arviz(self, target: str | None = None, *, draws: int = 1000, seed: int = 0) -> Any:
-        """Independent draws of the coefficients over the models, as ArviZ keeps them.
+        """Independent draws of the coefficients over the models, as an ArviZ object.
 
-        A model is drawn by its probability, coefficients and intercept are normal given the model, with the noise
-        variance of the model; an engine that does not average has the model of the included terms alone. Constants
-        inside terms stay at the values that were found.
+        A model is drawn by its probability; coefficients and intercept are normal given the model, with the noise
+        variance of the model. Without model averaging only the model of the included terms is drawn. Constants inside
+        terms stay at the values that were found.
 
         Parameters
         ----------
         target : str, optional
-            Which equation, where there are several.
+            Target of the equation, if there are several.
         draws : int
             Number of draws, as one chain.
         seed : int
-            Of the random numbers.
+            Seed of the random numbers.
 
         Returns
         -------
@@ -548,11 +550,12 @@ class Equations(Answer):
         path : str or Path
             The page to write.
         records : Record or sequence of Record, optional
-            That the equations were found from; pictures are of the first. Without, only those of the equations.
+            Records that the equations were found from; pictures show the first. Without records, only pictures of the
+            equations.
         files : sequence of str or Path, optional
             Files that the records were read from, to be named with their hashes.
         command : str, optional
-            To be shown as what gives the answer again; by default one is made from the settings.
+            The command to show that gives the answer again; by default one is made from the settings.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""What is printed of an answer, explained with its own numbers to a reader who does not know Bayesian statistics."""
+"""The printed answer explained with its own numbers, for a reader who does not know Bayesian statistics."""
 
 from __future__ import annotations
 

@@ -71,14 +71,14 @@ def derivatives(
     static: bool,
     number: Callable[[float], Any] = float,
 ) -> list[Any]:
-    """Of the states of a chain, in numbers or in SymPy; the target of a law where there are only `static` ones."""
+    """Time derivatives of a chain's states, in numbers or SymPy; the law's target with `static`, if all laws are."""
     above = [*(columns[name] for name in law.chain.states[1:]), right_hand_side(law, evaluate, number)]
     factors = rates(law.chain, law.unit_gains) or (1.0,) * static
     return [row if factor == 1.0 else number(factor) * row for factor, row in zip(factors, above, strict=False)]
 
 
 def _value(node: Node, columns: Mapping[str, Any], array: Any) -> Any:
-    """Value of an expression by the functions of an array module that has NumPy's names."""
+    """Value of an expression by the functions of `array`, a module with NumPy's names."""
     match node:
         case Number(value) | Unknown(value=value):
             return value
@@ -109,26 +109,26 @@ def _value(node: Node, columns: Mapping[str, Any], array: Any) -> Any:
 
 # --- source text -----------------------------------------------------------------------------------------------------
 
-# Digits that a float has.
+# Significant digits that determine a float.
 DIGITS = 17
 
-# What every function calls its arguments and its result.
+# Names of every generated function, of its arguments and of its result.
 OWN = {"rhs", "t", "y", "u", "dy"}
 
 
 class Language(NamedTuple):
-    """How a function is written."""
+    """How the function is written in one language."""
 
-    printer: str  # SymPy's function
-    # of the text; `{states}` and `{inputs}` are names, `{size}` is the number of states
+    printer: str  # name of SymPy's printer
+    # beginning of the text; `{states}` and `{inputs}` are names, `{size}` is the number of states
     head: str
-    # a line for a variable, and one for a derivative: `{name}`, `{of}` ("y" or "u"), `{k}`, `{value}`
+    # line that reads a variable, and line that sets a derivative: `{name}`, `{of}` ("y" or "u"), `{k}`, `{value}`
     take: str
     give: str
     tail: str
     first: int  # number of the first entry of an array
     reserved: frozenset[str]  # words and functions that no variable may be called
-    options: Mapping[str, Any] = {}  # of the printer
+    options: Mapping[str, Any] = {}  # options of the printer
 
 
 C_WORDS = """auto break case char const continue default do double else enum extern float for goto if inline int long
@@ -237,7 +237,7 @@ def _names(names: Sequence[str], row: Language, size: int) -> dict[str, str]:
 
 
 def _about(name: str) -> str:
-    """A name in a comment."""
+    """A channel's name for a comment: in ASCII, with the step in brackets."""
     base, bracket, step = name.partition("[")
     return _ascii(base) + bracket + step
 
@@ -248,7 +248,7 @@ def _ascii(name: str) -> str:
 
 
 def _plain(term: Expression) -> Any:
-    """A term in SymPy without what printers do otherwise, or not at all: steps at zero, remainders, Euler's number."""
+    """A term in SymPy; what printers lack or change is rewritten: sign, step and mod, e and pi as numbers."""
     import sympy
 
     expression, half = to_sympy(term), sympy.Rational(1, 2)
@@ -260,7 +260,7 @@ def _plain(term: Expression) -> Any:
     for function, rule in rules.items():
         expression = expression.replace(function, rule)
     constants = {sympy.E: sympy.Float(sympy.E, DIGITS), sympy.pi: sympy.Float(sympy.pi, DIGITS)}
-    # exp(x) is a power of E in SymPy's eyes
+    # not by `subs`: for SymPy exp(x) is a power of E
     return expression.replace(lambda part: part in constants, lambda part: constants[part])
 
 
@@ -276,7 +276,7 @@ def _printed(slope: Any, row: Language, language: str) -> str:
 
 Uncertainty = Literal["none", "brackets", "plus-minus"]
 
-# Numbers of other powers of ten are written with one.
+# Decimal exponents of numbers that are written without a power of ten.
 PLAIN_POWERS = range(-3, 5)
 MOST_PLACES = 12
 
@@ -291,7 +291,7 @@ def sum_in_latex(parts: Sequence[tuple[float, float, str]], uncertainty: Uncerta
     """
     out = ""
     for value, sd, term in parts:
-        inside = uncertainty == "plus-minus"  # where the sign is too
+        inside = uncertainty == "plus-minus"  # the brackets include the sign
         sign = "-" if value < 0 and not inside else "+"
         number = _with_sd(value if inside else abs(value), sd, uncertainty)
         body = f"{number}\\,{term}" if term else number
@@ -300,7 +300,7 @@ def sum_in_latex(parts: Sequence[tuple[float, float, str]], uncertainty: Uncerta
 
 
 def _with_sd(value: float, sd: float, uncertainty: Uncertainty) -> str:
-    """Two digits of the standard deviation, and the number to the same place."""
+    """A number with its standard deviation: the latter with two digits, the number to the same place."""
     if not (sd > 0 and isfinite(sd)):
         return f"{value:.12g}"
     power = floor(log10(max(abs(value), sd)))
@@ -311,6 +311,6 @@ def _with_sd(value: float, sd: float, uncertainty: Uncertainty) -> str:
     factor = f" \\times 10^{{{shift}}}" if shift else ""
     if uncertainty == "plus-minus":
         return f"\\left({number} \\pm {error}\\right){factor}"
-    # digits of the last places, or with their point where it stands among them
+    # the last digits of the standard deviation, with a decimal point if it is 1 or more
     digits = error if float(error) >= 1 else error.replace(".", "").lstrip("0")
     return f"{number}({digits or 0}){factor}"

@@ -1,4 +1,4 @@
-"""Coefficients of one model with their 95 % intervals, and intervals and draws over models, which know the doubt."""
+"""Coefficients and 95 % intervals of one model; intervals and draws over models, which include doubt about terms."""
 
 from __future__ import annotations
 
@@ -23,31 +23,31 @@ SIMPLER = ("max_terms", "tolerance")
 
 @dataclass(frozen=True, eq=False, slots=True)
 class OverModels:
-    """Intervals that know of other models than the one included or shown."""
+    """95 % intervals averaged over models, which include the uncertainty about the terms."""
 
-    averaged: Floats | None  # (P, 2), over all models, 0 in those without the term; None where no models are averaged
-    # (P, 2), over the models that hold the term, of an equation that is printed: terms that were left out for
-    # simplicity are in none of them. None where there are none.
+    averaged: Floats | None  # (P, 2), over all models, 0 in models without the term; None without model averaging
+    # (P, 2), over the models that hold the term, for the printed equation: terms left out for simplicity are taken out
+    # of every model. None without model averaging
     given_in: Floats | None
-    intercept: Floats | None  # (2,), over the same models, of the intercept
+    intercept: Floats | None  # (2,), interval of the intercept over the same models
 
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """An equation's coefficients under one account of its terms, in original units."""
+    """An equation's coefficients given one model of its terms, or averaged over models, in original units."""
 
     terms: tuple[str, ...]  # the P candidates
-    inside: Bools  # (P,), those in the model
+    inside: Bools  # (P,), whether each is in the model
     coef: Floats  # (P,), posterior means, 0 for a term that is out
-    sd: Floats  # (P,), and standard deviations
+    sd: Floats  # (P,), posterior standard deviations
     ci95: Floats  # (P, 2), 95 % intervals
-    intercept: float  # of the constant, whether it is in the model or probably zero
+    intercept: float  # estimate of the intercept, even if it is probably zero and not in the model
     intercept_sd: float
-    covariance: Floats | None = None  # (r, r), of the r coefficients in the model; None over models
+    covariance: Floats | None = None  # (r, r), of the r coefficients in the model; None if averaged or not projected
 
     @classmethod
     def of(cls, posterior: Posterior, terms: tuple[str, ...]) -> Model:
-        """Given the terms in a posterior's support."""
+        """The model of the terms in a posterior's support."""
         half = (Z95 if posterior.projected is None else t_quantile(posterior.projected.freedom)) * posterior.sd
         return cls(
             terms,
@@ -61,31 +61,31 @@ class Model:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the terms in the model."""
+        """Names of the terms in the model."""
         return tuple(term for term, kept in zip(self.terms, self.inside, strict=True) if kept)
 
     @property
     def coefficients(self) -> dict[str, float]:
-        """Of the terms in the model."""
+        """Coefficients of the terms in the model, by name."""
         return dict(zip(self.names, self.coef[self.inside].tolist(), strict=True))
 
     def columns(self, prefix: str = "") -> dict[str, Floats]:
-        """Columns of a table."""
+        """Table columns ``coef``, ``sd``, ``ci_low`` and ``ci_high``, their names after the prefix."""
         names = (f"{prefix}{name}" for name in ("coef", "sd", "ci_low", "ci_high"))
         return dict(zip(names, (self.coef, self.sd, *self.ci95.T), strict=True))
 
     @property
     def intercept_ci95(self) -> tuple[float, float]:
-        """95 % interval of the constant."""
+        """95 % interval of the intercept."""
         return self.intercept - Z95 * self.intercept_sd, self.intercept + Z95 * self.intercept_sd
 
 
 def over_models(
     fit: RegressionFit, included: Posterior, shown_fit: RegressionFit, shown: Posterior, left_out: Sequence[LeftOut]
 ) -> OverModels:
-    """Intervals over models of the regressions of included terms and of those shown, beside these as reported.
+    """Intervals over models: from `fit` about the posterior `included`, from `shown_fit` about the posterior `shown`.
 
-    Terms that are included and `left_out` for a simpler equation are in no model.
+    Terms `left_out` for a simpler equation are taken out of every model of `shown_fit`.
     """
     overall = mixture_of(fit, included)
     struck = np.isin(shown_fit.posterior.names, [left.name for left in left_out if left.reason in SIMPLER])
@@ -100,7 +100,7 @@ def over_models(
 
 
 def cut(posterior: Posterior, ends: Floats) -> Floats:
-    """Intervals (P, 2) cut at the bounds of terms that are in."""
+    """Intervals (P, 2) clipped to the known bounds of coefficients, except those of terms that are in no model."""
     bounds = posterior.details.bounds
     if bounds is None:
         return ends
@@ -116,7 +116,7 @@ def unlike(one: Floats, other: Floats) -> Bools:
 
 
 def draws_of(fit: RegressionFit, posterior: Posterior, draws: int, seed: int) -> Any:
-    """As `bayeq.equation.equations.Equations.to_arviz`, of one equation's regression and posterior."""
+    """The result of `bayeq.equation.equations.Equations.to_arviz` for one equation's regression and posterior."""
     from bayeq.adapters.arviz import to_arviz
 
     draws = whole_number("draws", draws, 1)

@@ -1,7 +1,7 @@
 """Files of equations read back: numbers and the text of terms, which is parsed again.
 
-`schema.json` says what a file holds, and is checked first. Entries that are fields of a dataclass become that dataclass
-by its annotations; what is written here is the rest.
+A file is first checked against `schema.json`. Entries that are fields of a dataclass are converted by its annotations;
+this module restores the rest.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from bayeq.records.validate import check_name
 from bayeq.states import Chain, Roles, check_sensors
 from bayeq.states.roles import NEXT
 
-#: No file of equations is longer; the greatest dictionary makes 40 MB.
+#: Longer files are refused; the largest dictionary makes 40 MB.
 MOST_BYTES = 256 * 2**20
 
 
@@ -54,7 +54,7 @@ def load(path: str | Path) -> Equations:
     Raises
     ------
     FileFormatError
-        A file that is missing or not such a file, or whose content does not agree with `json_schema` or with itself.
+        A file that is missing, not saved by bayeq, or whose content does not agree with `json_schema` or with itself.
     """
     path = as_path(path)
     try:
@@ -75,7 +75,7 @@ def load(path: str | Path) -> Equations:
 
 
 def restored(content: Saved, where: str) -> Equations:
-    """Equations from what `to_saved` made of them; FileFormatError, with where it was found, if it is damaged."""
+    """Equations from the data of `to_saved`; a FileFormatError names `where` they are from if they are damaged."""
     try:
         fault = first_fault(content)
         if fault is not None:
@@ -89,7 +89,7 @@ _hints = cache(get_type_hints)
 
 
 def _value(kind: Any, saved: Any) -> Any:
-    """A saved entry as a field of this annotation; null stands for infinity where None is no value of it."""
+    """A saved entry converted to the annotation `kind` of its field; null is infinity if `kind` does not allow None."""
     inside, origin = get_args(kind), get_origin(kind)
     if NoneType in inside:
         return None if saved is None else _value(inside[0], saved)
@@ -107,7 +107,7 @@ def _value(kind: Any, saved: Any) -> Any:
 
 
 def _fields(kind: Any, saved: Saved, *names: str) -> dict[str, Any]:
-    """Fields of a dataclass saved under their own names, all or those named; what was not written keeps its default."""
+    """Fields of a dataclass from entries of the same names, all or `names`; the others keep their defaults."""
     hints = _hints(kind)
     return {name: _value(hints[name], saved[name]) for name in names or hints if name in saved}
 
@@ -147,13 +147,13 @@ def _restore(content: Saved) -> Equations:
 
 
 def _log_odds(saved: Saved, states: Sequence[str]) -> float:
-    """Those that are not finite are saved as null: for the equations where these have the hidden state."""
+    """Log odds without a hidden state; null is -inf if the equations have the state, else +inf."""
     odds: float | None = saved["log_odds_without"]
     return odds if odds is not None else -math.inf if saved["state"] in states else math.inf
 
 
 def _restored_equation(content: Saved, k: int, chain: Chain, names: Sequence[str]) -> Equation:
-    """Equation k, that of a chain; `names` are those of all channels."""
+    """Equation k, of this chain; `names` are the names of all channels, for parsing terms."""
     saved, state = content["equations"][k], content["posteriors"][k]
     checks = content["diagnostics"]["equations"][saved["target"]]
     constants = saved.get("constants", ())
@@ -218,7 +218,7 @@ def _restored_posterior(method: str, names: tuple[str, ...], saved: Saved, state
 
 
 def _restored_shown(like: Posterior, saved: Saved, given: Saved | None) -> Posterior:
-    """The posterior given the terms shown, if these are others than those included."""
+    """The posterior given the terms shown; `like`, given the included terms, if they are the same."""
     if given is None:
         return like
     terms = saved["terms"]
@@ -238,7 +238,7 @@ def _bounded(equation: Equation, ends: Floats | None) -> Equation:
 
 
 def _given_terms(saved: Saved, given: Saved, like: Posterior | None = None) -> dict[str, Any]:
-    """Of a posterior given its terms, beside the coefficients; what was not written is that of another one."""
+    """Fields of a posterior given its terms, without the coefficients; entries not saved are those of `like`."""
     left_out = None if saved.get("intercept_included", True) else (saved["intercept"], saved["intercept_sd"])
     if like is not None:
         own = like.constant
@@ -275,7 +275,7 @@ def _indicator(members: Sequence[int], terms: int) -> Bools:
 
 
 def _column(terms: Sequence[Saved], name: str, known: bool = False) -> Any:
-    """Entries of all terms; None if there are none, or with `known` if all are None, which are NaN otherwise."""
+    """An entry of all terms, (P,); None if any lacks it, or with `known` if all do (NaN for those that lack it)."""
     values = [term.get(name) for term in terms]
     if values.count(None) == len(values) if known else None in values:
         return None
@@ -283,7 +283,7 @@ def _column(terms: Sequence[Saved], name: str, known: bool = False) -> Any:
 
 
 def _check_restored(equation: Equation) -> None:
-    """Check that what is computed is finite: ValueError for numbers too large, BayeqError for units that are none."""
+    """Check that computed numbers are not too large (ValueError) and that units can be parsed (BayeqError)."""
     ends = [np.array([*equation.intercept_ci95, *equation.printed_intercept_ci95])]
     with np.errstate(all="ignore"):
         for p in (equation.posterior, equation.shown_posterior):

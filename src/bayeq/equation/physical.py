@@ -1,15 +1,15 @@
-"""Physical parameters of whatever equations there are: of one oscillator, of first order, or of several coordinates.
+"""Physical parameters of equations: of one oscillator, of first-order equations, or of several coordinates.
 
-Of an oscillator, m x'' + c x' + k x + ... = u, the coefficients of the equation of x'' are those of the forces over the
-mass: -k/m of x, -c/m of x', 1/m of the force, -k3/m of x**3, -c2/m of x'|x'|, -Fc/m of sign(x'). A displacement need
-not be measured from the position of rest x_0, where without input all forces on the mass vanish: with x = x_0 + xi,
-theta x**p gives binomial(p, n) theta x_0**(p - n) of xi**n. What is called stiffness is that of small motion about it.
+The equation of x'' of an oscillator, m x'' + c x' + k x + ... = u, has the coefficients -k/m of x, -c/m of x', 1/m of
+the force, -k3/m of x**3, -c2/m of x'|x'| and -Fc/m of sign(x'). The displacement may be measured from a point other
+than the position of rest x_0, where all forces on the mass vanish without input: with x = x_0 + xi, theta x**p adds
+binomial(p, n) theta x_0**(p - n) to the coefficient of xi**n. Stiffness means that of small motion about x_0.
 
-Several coordinates have natural frequencies, damping ratios and mode shapes, and M, C, K where known. The linear part
-of their equations is ``x'' = A x + B x' + D u``. Its modes are the eigenvectors of ``[[0, I], [A, B]]``: an eigenvalue
-``lambda`` has the frequency ``|lambda|/2 pi`` and the damping ratio ``-Re(lambda)/|lambda|``. An input that drives one
-coordinate alone is its force, ``1/m`` its coefficient; other masses follow from the symmetry of the stiffness,
-``m_i A_ij = m_j A_ji``. Intervals are of draws of the coefficients' posterior.
+Several coordinates have natural frequencies, damping ratios and mode shapes, and M, C, K where masses are known. The
+linear part of their equations is ``x'' = A x + B x' + D u``. Its modes are the eigenvectors of ``[[0, I], [A, B]]``: an
+eigenvalue ``lambda`` has the frequency ``|lambda|/2 pi`` and the damping ratio ``-Re(lambda)/|lambda|``. An input that
+drives one coordinate alone is its force, ``1/m`` its coefficient; other masses follow from the symmetry of the
+stiffness, ``m_i A_ij = m_j A_ji``. Intervals are quantiles over draws from the posterior of the coefficients.
 """
 
 from __future__ import annotations
@@ -39,36 +39,36 @@ from bayeq.states import Chain
 if TYPE_CHECKING:
     from bayeq.equation.equation import Equation
 
-# Highest power of the displacement that is a stiffness by a name of its own.
+# Highest power of the displacement that has a stiffness parameter, k9.
 HIGHEST_POWER = 9
 
-# Places at which a zero of the force is looked for, and how far beyond the record's range, as a share of that.
+# Grid points on which a zero of the force is sought; how far they reach beyond the record's range, as a share of it.
 PLACES, BEYOND = 2001, 0.5
 
-# Newton's steps, and the step of derivatives as a share of the range; that of derivatives at zero.
+# Newton steps; difference step for slopes at rest, as a share of the range; difference step for derivatives at zero.
 STEPS, STEP, ZERO_STEP = 20, 1e-4, 1e-4
 
-# Positions of rest nearer to zero than this share of the record's range are there.
+# A position of rest nearer to zero than this share of the record's range is set to zero.
 AT_ZERO = 1e-9
 
-# Draws that may have no position of rest.
+# Largest share of draws that may have no position of rest.
 FEW = 0.025
 
-# Ends of units of what is no force, beside those of motion.
+# Endings of units with symbols that `in_si` does not know: an input with such a unit is no force.
 NO_FORCE = ("A", "V", "W", "Pa", "bar", "psi", "%")
 
-# Draws of parameters that nobody has asked for.
+# Draws for the parameters that are printed with every answer.
 DRAWS = 2000
 
-# Draws whose eigenvalues are taken, of one coordinate, and the least share of them that must have as many modes as the
-# mean.
+# Most draws with eigenvalues, divided by the number of coordinates; least share of draws that must have as many
+# oscillating modes as the mean.
 MOST_DRAWS, LEAST_SHARE = 4000, 0.5
 
 
 def own_parameters(eq: Answer) -> PhysicalParameters | None:
-    """Physical parameters, or of an equation of motion only a note why there are none.
+    """The parameters printed with an answer; for an equation of motion without parameters, a note that says why.
 
-    None of equations of other kinds without them, and where these are none or not determined: they hold given terms.
+    None for other equations without parameters, and if the verdict is none or not determined: they assume the terms.
     """
     if eq.verdict.kind in ("none", "not determined"):
         return None
@@ -120,24 +120,24 @@ def oscillator_parameters(
 
 
 def _fed_back(equation: Equation, others: Sequence[Equation]) -> list[str]:
-    """States of other equations in this one that its own states drive: they are part of its stiffness and damping."""
+    """States of other equations, driven by this one's, that act back on it: a part of its stiffness and damping."""
     moved = set(equation.chain.states)
-    for _ in others:  # one may drive the next
+    for _ in others:  # a driven state may drive the next
         moved |= {z for one in others if _names(one.law) & moved for z in one.chain.states}
     return sorted(_names(equation.law) & moved - set(equation.chain.states))
 
 
 class Force(NamedTuple):
-    """A term of the equation and the parameter that it holds: coefficient = -parameter/m."""
+    """A term of an oscillator's equation and its parameter: coefficient = -parameter/m."""
 
     symbol: str
     meaning: str
     term: str
-    powers: tuple[int, int]  # of displacement and velocity, for the unit
+    powers: tuple[int, int]  # powers of displacement and velocity, for the unit
 
 
 def forces_of(chain: Chain) -> list[Force]:
-    """The forces that an oscillator may have."""
+    """All forces that are recognised in the equation of an oscillator."""
     x, v = chain.states
     stiffness = {2: "quadratic", 3: "cubic", 5: "quintic"}
     return [
@@ -167,9 +167,9 @@ def physical_parameters(
 ) -> PhysicalParameters:
     """Parameters of an oscillator given the included terms of its equation; see `bayeq.Equations.physical`.
 
-    The span is the least and largest displacement of the record; without it the position of rest is taken to be zero.
-    The natural frequency says that it is `without` some states, and there are no modes. InputError: no term in the
-    displacement alone that restores, a mass that is not positive, or units that do not fit the motion.
+    `span` is the smallest and largest displacement of the record; without it the position of rest is taken to be zero.
+    `without` are states whose effect is left out: the natural frequency says so, and there are no modes.
+    InputError: neither a power of the displacement nor damping, a mass that is not positive, units that do not fit.
     """
     coefficients, position = _read(law, draws, seed, span)
     forces = [force for force in forces_of(law.chain) if force.term in coefficients]
@@ -181,7 +181,7 @@ def physical_parameters(
     driven = _force(inputs, coefficients, force)
     if driven is not None and force is None and mass is None:
         against = np.quantile(coefficients[driven], 0.975) < 0.0
-        # against the motion, or what moves a base: it says nothing of the mass
+        # an input with a negative coefficient, or one that is no force, does not give the mass
         driven = None if against or _is_no_force(units.get(driven, "")) else driven
     system = OscillatorUnits(units, law.chain, law.unit_gains, driven, mass is not None)
     theta = {f.symbol: coefficients[f.term] * system.scale(f.powers) for f in forces}
@@ -213,9 +213,9 @@ def first_order_parameters(
     draws: int,
     seed: int,
 ) -> PhysicalParameters:
-    """Time constant and gains of states of first order, ``tau x' = -x + gain u + ...``, each linear in its own law.
+    """Time constants and static gains of first-order states, ``tau x' = -x + gain u + ...``, linear in their own law.
 
-    The rest is as for `physical_parameters`, `without` by target. InputError if no state decays by a term of its own.
+    Arguments are as for `physical_parameters`, `without` by target. InputError if no state decays by a linear term.
     """
     found, other, rng = list[Quantity](), list[str](), np.random.default_rng(seed)
     for law in laws:
@@ -240,7 +240,7 @@ def first_order_parameters(
 
 
 def _read(law: Law, draws: int, seed: int, span: tuple[float, float] | None) -> tuple[dict[str, Floats], Floats | None]:
-    """Draws of the coefficient of each included term, about the position of rest where that is not zero, and that."""
+    """Draws of each included coefficient, about the position of rest if it is not zero, and draws of that position."""
     chain = law.chain
     if chain.order != 2:
         raise InputError(
@@ -250,7 +250,7 @@ def _read(law: Law, draws: int, seed: int, span: tuple[float, float] | None) -> 
     count = whole_number("draws", draws, 100)
     x, v = chain.states
     constant, coefficients = drawn_coefficients(law, count, np.random.default_rng(seed))
-    for term, values in list(coefficients.items()):  # x - u holds x
+    for term, values in list(coefficients.items()):  # x - u adds to the coefficient of x
         slope = slopes_of(term, chain.states) if len(term.names) > 1 else None
         for name, part in zip(chain.states, (0.0, 0.0) if slope is None else slope, strict=True):
             if part:
@@ -281,7 +281,7 @@ def _force(inputs: Sequence[str], coefficients: Mapping[str, Floats], force: str
 
 
 def _mass(mass: float | None, per_force: Floats | None, draws: int) -> Floats | None:
-    """Draws of the mass; None where nothing tells it."""
+    """Draws of the mass, given or 1 over the force's coefficient; None if neither is known."""
     if mass is not None:
         if not (math.isfinite(mass) and mass > 0):
             raise InputError(f"mass must be positive and finite, got {mass!r}")
@@ -301,7 +301,7 @@ def _without(names: Sequence[str]) -> str:
 
 
 def _modal(theta: Mapping[str, Floats], without: Sequence[str]) -> list[Quantity]:
-    """Natural frequency and damping ratio of the linear part, where there is one that oscillates."""
+    """Natural frequency and damping ratio of the linear part; empty if its stiffness is not clearly positive."""
     if "k" not in theta or not np.quantile(-theta["k"], 0.025) > 0:
         return []
     square = np.where(theta["k"] < 0, -theta["k"], np.nan)
@@ -318,10 +318,10 @@ def _modal(theta: Mapping[str, Floats], without: Sequence[str]) -> list[Quantity
 def system_parameters(
     laws: Sequence[Law], inputs: Sequence[str], units: Mapping[str, str], *, draws: int, seed: int
 ) -> PhysicalParameters:
-    """Modes of the linear part of several equations of second order, with masses, stiffnesses and dampings as known.
+    """Modes of the linear part of several second-order equations; stiffness and damping where a mass is known.
 
-    There are no modes where a term makes them depend on an input, or holds an acceleration. InputError for equations
-    without a mode that oscillates.
+    Modes are left out if a term makes the linear part depend on an input, the time or an acceleration. InputError if
+    no mode oscillates.
     """
     n = len(laws)
     count = min(draws, max(MOST_DRAWS // n, 100))
@@ -353,7 +353,7 @@ def system_parameters(
 
 
 def _is_no_force(unit: str) -> bool:
-    """Whether an input in a unit is the motion of a base, a current, a voltage, a power or a pressure."""
+    """Whether an input's unit is that of base motion, a current, a voltage, a power or a pressure, not of a force."""
     si = in_si(parse_unit(unit)) if unit else None
     return unit.endswith(NO_FORCE) if si is None else not si[1].get("N")
 
@@ -363,7 +363,7 @@ def _names(law: Law) -> set[str]:
 
 
 def _tangent(term: Expression, states: Sequence[str]) -> Floats | None:
-    """Derivatives of a term of displacements at zero, by differences that are exact for powers; None if not finite."""
+    """Slopes at zero of a term of displacements, by extrapolated central differences, (2 n,); None if not finite."""
     steps = np.eye(len(states))
     ends = np.concatenate([share * ZERO_STEP * steps for share in (1.0, -1.0, 0.5, -0.5)])
     with np.errstate(all="ignore"):
@@ -374,7 +374,7 @@ def _tangent(term: Expression, states: Sequence[str]) -> Floats | None:
 
 
 def _is_mixed(term: Expression, states: Sequence[str], others: Sequence[str]) -> bool:
-    """Whether the derivatives of a term by the states depend on others."""
+    """Whether a term's derivatives by the states depend on `others`: inputs, the time, accelerations."""
     return bool(term.names & set(others)) and bool(term.names & set(states)) and slopes_of(term, states) is None
 
 
@@ -434,14 +434,14 @@ def _matrices(
             for j in range(n):
                 values = -masses[i] * linear[:, i, first + j]
                 if (j >= i or j not in masses) and np.any(values):
-                    # of coordinates without a force that of one with
+                    # a coordinate without a force takes the unit of one that has a force
                     own = next((s.unit(powers, True) for s in (scales[i], *scales) if s.force is not None), None)
                     out.append(quantity(f"{symbol}_{i + 1}{j + 1}", f"{what}, row {i + 1}", values, own))
     return out
 
 
 def _known(values: Floats) -> bool:
-    """Whether draws are clearly not zero."""
+    """Whether the 95 % interval of draws excludes zero."""
     low, high = np.quantile(values, [0.025, 0.975])
     return bool(low > 0.0 or high < 0.0)
 
@@ -449,7 +449,7 @@ def _known(values: Floats) -> bool:
 def _is_displaced(
     coefficients: Mapping[Expression, Floats], constant: bool, x: str, v: str, span: tuple[float, float]
 ) -> bool:
-    """Whether there is a position of rest, other than zero within the span, or the spring is no polynomial."""
+    """Whether rest may be off zero (a constant force, a span without zero), or the spring is no polynomial."""
     alone = [term for term in coefficients if term.names == {x}]
     forced = any(abs(float(evaluate_terms([term], {x: np.zeros(1)})[0, 0])) > 0.0 for term in alone)
     bent = any(_powers(term.tree, x, v) is None and not any(jumps_of(term.tree)) for term in alone)
@@ -459,10 +459,10 @@ def _is_displaced(
 def _about_rest(
     coefficients: Mapping[Expression, Floats], constant: Floats, x: str, v: str, span: tuple[float, float]
 ) -> tuple[Floats, dict[Expression, Floats]]:
-    """The positions of rest (n,), and the coefficients about them, (n,) each, of n draws.
+    """The position of rest (n,) of n draws, and the coefficients about it, (n,) each.
 
-    Terms in `x` alone that are no powers add their slope to that of `x`, others that are none stay. InputError if there
-    is no such position in or near the span of the record.
+    Terms in `x` alone that are no powers add their slope at rest to the coefficient of `x`; other terms that are not
+    monomials stay. InputError if there is no stable position of rest in or near the span of the record.
     """
     alone = {term: values for term, values in coefficients.items() if term.names == {x}}
     width = span[1] - span[0]
@@ -519,7 +519,7 @@ def _about_rest(
 
 
 def _powers(node: Node, x: str, v: str) -> tuple[int, int] | None:
-    """Powers of displacement and velocity of a monomial; None of other terms."""
+    """Powers of displacement and velocity in a monomial; None for other terms."""
     match node:
         case Symbol(name) if name in (x, v):
             return (1, 0) if name == x else (0, 1)

@@ -1,4 +1,4 @@
-"""Physical parameters as they are shown: a value each, with its interval and unit, and modes."""
+"""Physical parameters as they are shown, each a value with its interval and unit, and modes."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """A number with its uncertainty."""
+    """A physical parameter with its uncertainty, from draws of the posterior."""
 
     symbol: str  # "k3"
     meaning: str  # "cubic stiffness"
-    mean: float  # of the draws
+    mean: float  # mean of the draws
     sd: float
     low: float  # 95 % interval: their 2.5 % and 97.5 % quantiles
     high: float
@@ -41,24 +41,24 @@ class Mode:
 
     frequency: Quantity  # the natural frequency [Hz]
     damping_ratio: Quantity
-    shape: Mapping[str, float]  # displacements over that of the coordinate that moves most, by their names
+    shape: Mapping[str, float]  # displacement over that of the coordinate that moves most, by coordinate
 
 
 @dataclass(frozen=True, slots=True)
 class PhysicalParameters:
-    """Parameters of an oscillator; iterate over them, or take one by its symbol.
+    """Physical parameters of equations; iterate over them, or take one by its symbol.
 
     Attributes
     ----------
     quantities : tuple of Quantity
-        Natural frequency ``omega_n`` [rad/s] and ``f_n`` [Hz], damping ratio ``zeta``, then mass, damping and
-        stiffnesses; per unit of mass (``k/m``) where the mass is not known.
+        For oscillators natural frequency ``omega_n`` [rad/s] and ``f_n`` [Hz], damping ratio ``zeta``, then mass,
+        damping and stiffnesses, per unit of mass (``k/m``) if it is not known; else time constants and static gains.
     unexplained : tuple of str
-        Included terms that have no place among them.
+        Terms of the equations that belong to none of the quantities.
     modes : tuple of Mode
-        The slowest first.
+        The lowest frequency first.
     note : str
-        Why there are no modes, where terms of the equations forbid them.
+        Why there are no modes, or no parameters; else empty.
     """
 
     quantities: tuple[Quantity, ...]
@@ -98,6 +98,6 @@ class PhysicalParameters:
 
 
 def quantity(symbol: str, meaning: str, values: Floats, unit: str | None) -> Quantity:
-    """Of draws."""
+    """The quantity whose mean, standard deviation and 95 % interval are those of draws; NaN are left out."""
     low, high = np.nanquantile(values, [0.025, 0.975])
     return Quantity(symbol, meaning, float(np.nanmean(values)), float(np.nanstd(values)), float(low), float(high), unit)

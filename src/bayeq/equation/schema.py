@@ -1,6 +1,6 @@
 """The JSON schema of saved equations and of ``discover --json``, and checks of content.
 
-The keywords are those that `schema.json` uses; `tests/test_saved_files.py` compares them with this list.
+Only keywords that `schema.json` uses are implemented; `tests/test_saved_files.py` checks that they are all.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def json_schema() -> dict[str, Any]:
     Returns
     -------
     dict
-        Its ``$id`` ends with the version, that of the format of saved files.
+        The schema; its ``$id`` ends with the version of the format of saved files.
 
     Examples
     --------
@@ -64,7 +64,7 @@ def _schema() -> dict[str, Any]:
 
 
 def first_fault(content: object) -> str | None:
-    """The first thing in some JSON that the schema does not allow, with its place; None if there is none.
+    """The first violation of the schema in parsed JSON, with its place; None if there is none.
 
     >>> first_fault({"method": 1})
     'data is missing'
@@ -117,7 +117,7 @@ def _faults_of_list(value: list[Any], schema: Schema, where: str, place: str) ->
 
 
 def _are_numbers(values: list[Any], schema: Schema) -> bool:
-    """Whether all are numbers within bounds: a quick look at long lists, before each entry is looked at."""
+    """Whether all entries are numbers within bounds: a fast check that spares long lists one for each entry."""
     if not set(schema) <= {"type", "minimum", "maximum"} or schema["type"] not in ("integer", "number"):
         return False
     if not set(map(type, values)) <= ({int} if schema["type"] == "integer" else {int, float}):
@@ -144,10 +144,10 @@ def _faults_of_object(value: dict[str, Any], schema: Schema, place: str) -> Iter
             yield from _faults(item, further, prefix + shown)
 
 
-# --- what the schema cannot say: lengths and names that go together, places that exist, covariances ------------------
+# --- checks beyond the schema: lengths and names that must agree, indices that exist, covariances --------------------
 
-# Covariances of files written with all digits are symmetric, and have no negative eigenvalue, but for rounding; of
-# matrices up to this size, which an eigenvalue decomposition takes no time for.
+# Saved covariances must be symmetric and positive semidefinite within this tolerance; eigenvalues are checked for
+# matrices up to this size, whose decomposition takes no time.
 ROUNDING = 1e-6
 MOST_DECOMPOSED = 200
 
@@ -156,7 +156,7 @@ ALL_OR_NONE = ("averaged_coef", "averaged_sd", "averaged_ci95", "printed_ci95", 
 
 
 def check_content(content: Saved, chains: Sequence[Chain]) -> None:
-    """Check what valid entries, and chains parsed from them, say of each other; ValueError says what is wrong."""
+    """Check that valid entries agree with each other and with the chains parsed from them; ValueError if not."""
     equations, posteriors, data = content["equations"], content["posteriors"], content["data"]
     for place, entries in (("equations", equations), ("posteriors", posteriors)):
         _require(len(entries) == len(chains), f"{place} has {len(entries)} entries, data.chains {len(chains)}")
@@ -204,7 +204,7 @@ def _check_intervals(saved: Saved, place: str, names: Iterable[str]) -> None:
 
 
 def _check_terms(terms: Sequence[Saved], place: str, simplified: bool) -> None:
-    """Terms are distinct, and coefficients those of the models that they say."""
+    """Check that terms are distinct and their entries agree: coefficients, reasons and intervals."""
     seen: set[str] = set()
     for j, term in enumerate(terms):
         here, included, shown = f"{place}[{j}]", term["included"], term["shown"]
@@ -267,7 +267,7 @@ def _check_places(places: Sequence[float], size: int, place: str) -> None:
 
 
 def _check_covariance(rows: Sequence[Sequence[float]], size: int, place: str) -> None:
-    """Square, symmetric and without negative variances."""
+    """Check that a covariance is square, symmetric and, up to rounding, positive semidefinite."""
     square = len(rows) == size and all(len(row) == size for row in rows)
     _require(square, f"{place}: {size} rows of {size} numbers are expected")
     if not size:
@@ -275,7 +275,7 @@ def _check_covariance(rows: Sequence[Sequence[float]], size: int, place: str) ->
     matrix = np.array(rows, dtype=np.float64)
     variances = np.diagonal(matrix)
     _require(bool((variances >= 0).all()), f"{place}: a variance is negative")
-    # correlations; covariances with what does not vary stay as they are
+    # scaled to correlations; rows without variance stay as they are
     sd = np.where(variances > 0, np.sqrt(variances), 1.0)
     with np.errstate(over="ignore"):
         scaled = matrix / sd[:, None] / sd

@@ -1,6 +1,6 @@
 """Sensitivity of posterior inclusion probabilities to v_s, to p_0 and to the power of the likelihood.
 
-The curves by model averaging, their tables and their figure.
+Curves by model averaging, with their tables and their figure.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# What varies, by its column in tables.
+# Axis labels of the quantity that varies, by its column in tables.
 LABELS = {
     "slab_variance": "slab variance $v_s$",
     "prior_inclusion": "prior inclusion probability $p_0$",
@@ -38,16 +38,16 @@ LABELS = {
 # Terms whose PIP stays below this run along the axis and are not drawn.
 NOTEWORTHY = 0.05
 
-# Terms that are sometimes included have looks of their own, as long as there are any: markers tell them apart in grey
-# print, colours are of the palette of all figures.
+# Terms included at some values only have a colour and marker each, until these run out: markers distinguish them in
+# grey print, colours are of the palette of all figures.
 GREY, GREEN, PURPLE, SKY = "#6E6E6E", "#009E73", "#CC79A7", "#56B4E9"
 COLOURS = [RED, ORANGE, GREEN, PURPLE, SKY, BLACK, RED, ORANGE]
 LOOKS = [{"color": colour, "marker": marker} for colour, marker in zip(COLOURS, "os^Dv<>P", strict=True)]
 
-# The names of all others take at most this many lines of this many characters: the legend is then as high as a panel.
+# In the legend names of a group take at most this many lines of this many characters: it is then as high as a panel.
 LINES, WIDTH = 2, 26
 
-# The figure [mm]: a row, the first panel with its scale, other panels, the legend.
+# Figure [mm]: height of a row; widths of the first panel with its scale, of other panels, of the legend.
 HEIGHT, FIRST, PANEL, LEGEND = 65.0, 72.0, 66.0, 52.0
 
 # v_s varies over two decades either way. A term costs 1/2 ln v_s, so that its log-odds vary by 2.3 nats either way.
@@ -66,15 +66,15 @@ LEAST_ROWS = 5.0
 class PipCurve:
     """Posterior inclusion probabilities (PIPs) by model averaging as one number varies."""
 
-    # what varies, as the column of the table is named: "slab_variance" (v_s), "prior_inclusion" (p_0) or "coarsen" (the
+    # the quantity that varies, its column in tables: "slab_variance" (v_s), "prior_inclusion" (p_0), "coarsen" (the
     # power of the likelihood)
     axis_name: str
     names: tuple[str, ...]  # the P candidate terms
-    values: Floats  # (K,), of what varies, ascending
+    values: Floats  # (K,), values of the quantity that varies, ascending
     pip: Floats  # (K, P), PIPs at these values
-    left_out: Floats  # (K,), mass of models not listed, an estimate that errs upwards: a PIP is off by no more
-    current: int  # place of the value that the equation was found with
-    rows: Floats | None = None  # (K,), number of rows that the data count for, where it varies
+    left_out: Floats  # (K,), posterior mass of models not listed, rather overestimated: PIPs err by no more
+    current: int  # index of the value that the equation was found with
+    rows: Floats | None = None  # (K,), effective number of rows at each value, if it varies
 
     @property
     def listed(self) -> Bools:
@@ -134,7 +134,7 @@ class PipCurve:
 
 
 class PriorSensitivity(NamedTuple):
-    """Prior sensitivity of the PIPs: one of v_s and p_0 varies while the other is the one used.
+    """Prior sensitivity of the PIPs: one of v_s and p_0 varies while the other has the value used.
 
     Attributes
     ----------
@@ -182,7 +182,7 @@ class PriorSensitivity(NamedTuple):
 
 
 def _changes(curves: Sequence[PipCurve]) -> pd.DataFrame:
-    """Of all values of some curves through the same point, see `PriorSensitivity.changes`."""
+    """Terms that change over all values of the curves, which share the value used; see `PriorSensitivity.changes`."""
     import pandas as pd
 
     first = curves[0]
@@ -191,7 +191,7 @@ def _changes(curves: Sequence[PipCurve]) -> pd.DataFrame:
         {
             "term": first.names,
             "pip": np.where(first.listed[first.current], first.pip[first.current], np.nan),
-            # none listed: nothing changes
+            # if no value is listed, no term changes
             "lowest": pip.min(axis=0, initial=1.0),
             "highest": pip.max(axis=0, initial=0.0),
         }
@@ -202,7 +202,7 @@ def _changes(curves: Sequence[PipCurve]) -> pd.DataFrame:
 
 
 def require_spike_slab(method: str) -> None:
-    """Check that a method has a v_s and a p_0; the InputError says which methods have."""
+    """Check that a method has a v_s and a p_0; the InputError lists the methods that have."""
     if not ENGINES[method].spike_slab:
         known = ", ".join(spike_slab_methods())
         raise InputError(f"method {method!r} has no v_s and p_0 to vary; take one of: {known}")
@@ -244,7 +244,7 @@ def prior_sensitivity(
     inclusions = _axis("prior_inclusions", INCLUSIONS if prior_inclusions is None else prior_inclusions, p_0, 1.0)
 
     def at(inclusion: float) -> Problem:
-        # rows of D'D that one problem has asked for serve all of them
+        # all problems share the rows of D'D that were computed for one
         shifted = prior if inclusion == p_0 else with_inclusion(prior, terms, inclusion)
         return Problem.of(gram, shifted)._replace(columns=used.columns)
 
@@ -303,7 +303,7 @@ def _curve(
 
 
 def common_inclusion(prior: Prior, terms: int) -> float:
-    """The number that p_0 is, or that represents it where terms have p_0 of their own or p_0 ~ Beta(a, b)."""
+    """p_0 as one number: that of the mean log-odds if it differs between terms, a/(a + b) if p_0 ~ Beta(a, b)."""
     log_odds = prior.log_odds(terms)
     free = np.isfinite(log_odds)
     if not free.any():
@@ -329,7 +329,7 @@ def with_inclusion(prior: Prior, terms: int, inclusion: float) -> Prior:
 
 @picture
 def draw_pip_curves(rows: Mapping[str, Sequence[PipCurve]]) -> Figure:
-    """A row per equation, by title (may be empty): a panel per curve, as many for each, and what their looks mean."""
+    """A row per equation, by title (may be empty): a panel per curve, equally many in each row, and a legend."""
     panels = max(len(curves) for curves in rows.values())
     width = FIRST + (panels - 1) * PANEL + LEGEND
     figure, axes = new_panels(len(rows), panels, width=width, height=HEIGHT * len(rows), sharey=True)
@@ -343,7 +343,7 @@ def draw_pip_curves(rows: Mapping[str, Sequence[PipCurve]]) -> Figure:
 
 
 def _frame(ax: Axes, curve: PipCurve) -> None:
-    """Scales, and the value used."""
+    """Set the scales and labels, and mark the value used."""
     x, used = curve.values, float(curve.values[curve.current])
     ax.set_xscale("log")
     margin = (x[-1] / x[0]) ** 0.03 if len(x) > 1 else 2.0
@@ -358,7 +358,7 @@ def _frame(ax: Axes, curve: PipCurve) -> None:
 
 
 def _draw(axes: Sequence[Axes], curves: Sequence[PipCurve]) -> None:
-    """Curves that are always, sometimes and never above 0.5, and the legend."""
+    """Draw curves that are always, sometimes and never above 0.5, and the legend."""
     names, used = curves[0].names, curves[0].pip[curves[0].current]
     listed = np.concatenate([curve.listed for curve in curves])
     whole = np.concatenate([curve.pip for curve in curves])

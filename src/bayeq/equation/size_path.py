@@ -1,4 +1,4 @@
-"""`ParsimonyPath`: the size path, the best model of each size, to see where more terms stop to pay, and its figure."""
+"""`ParsimonyPath`: the likeliest model of each size, which shows where further terms stop paying, and its figure."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Step = tuple[tuple[str, ...], tuple[str, ...]]
 # By default a path goes this many terms beyond the chosen equation: enough to see its evidence fall.
 BEYOND = 3
 
-# The figure [mm]: panels, what is around them, and a character of the terms that each size adds, written upwards.
+# Figure [mm]: height of a panel, of the margins around it, and of a character of the vertical term labels below it.
 HEIGHT, AROUND, CHARACTER = 46.0, 22.0, 1.0
 
 # Longer terms are shortened, and only the first few of a step are named, or the page would be mostly names.
@@ -38,7 +38,7 @@ NAMED = 3
 # logarithmic one beyond, where only its order of magnitude matters.
 LINEAR = 10.0
 
-# A training error below this share of the largest, of a record without noise, would squeeze all others.
+# Errors are drawn as at least this share of the largest training error: zeros of a noise-free record do not show.
 LEAST_ERROR = 1e-6
 
 HELD_OUT: dict[str, Any] = {"color": ORANGE, "marker": "D", "markersize": 3.4, "markerfacecolor": "white"}
@@ -67,10 +67,10 @@ class ParsimonyPath:
         The terms of the equation that the path belongs to. It need not lie on the path: the terms that are each
         likelier in than out may not make the likeliest model of their number.
     chosen_log_evidence, chosen_r2, chosen_held_out_r2 : float
-        Its evidence and fit.
+        Log evidence and fit of the chosen equation.
     share : (P,) array
-        What R2 loses on the training rows when a term is left out of the equation and the others are refitted by least
-        squares; NaN for a term that is not in it.
+        Loss of R2 on the training rows when a term is left out of the equation and the others are refitted by least
+        squares; NaN for a term that is not in the equation.
     """
 
     target: str
@@ -94,7 +94,7 @@ class ParsimonyPath:
 
     @property
     def is_chosen(self) -> Bools:
-        """Which of the models is the equation, (K,); none if it is off the path."""
+        """Whether each model is the chosen equation, (K,); all False if the equation is not on the path."""
         return np.asarray((self.models == self.chosen).all(axis=1))
 
     @property
@@ -180,10 +180,10 @@ def _error(r2: float) -> str:
 
 
 def parsimony_path(fit: RegressionFit, shown: Bools, most: int | None = None) -> ParsimonyPath:
-    """The path of a regression about the terms shown, (P,); see `Equation.path`. InputError if `most` is too small."""
+    """Size path of a regression, the equation's terms being `shown`, (P,); see `Equation.path`, also for errors."""
     regression, standard, problem = fit.regression, fit.standard, fit.problem
     limits = fit.prior.limits
-    # equalities between coefficients have taken terms, and with them a part of the target, to the left-hand side
+    # equalities between coefficients have eliminated terms and subtracted their part from the target
     chosen = shown[fit.constraints.equalities.kept]
     held_out = None if regression.held_out is None else fit.constraints.equalities.reduce(regression.held_out)
     if most is None:
@@ -214,7 +214,7 @@ def parsimony_path(fit: RegressionFit, shown: Bools, most: int | None = None) ->
 
 
 def _r2(reduced: Gram | None, whole: Gram | None, coef: Floats, intercept: Floats) -> Floats:
-    """Share of the variance of the whole target that K models of the reduced one explain, (K,)."""
+    """R2 of K models, (K,): errors on the Gram reduced by equalities, over the variance of the whole target."""
     if reduced is None or whole is None:
         return np.full(len(coef), np.nan)
     errors = np.array([reduced.squared_error(theta, b0) for theta, b0 in zip(coef, intercept, strict=True)])
@@ -223,7 +223,7 @@ def _r2(reduced: Gram | None, whole: Gram | None, coef: Floats, intercept: Float
 
 @picture
 def draw_paths(rows: Mapping[str, ParsimonyPath]) -> Figure:
-    """Evidence (left) and errors (right) against the number of terms, a row per equation, by title (may be empty)."""
+    """Log evidence (left) and errors (right) against the number of terms; a row per equation, keyed by its title."""
     lengths = [
         max(sum(2 + len(name[:LONGEST]) for names in step for name in names[:NAMED]) for step in path.steps)
         for path in rows.values()
@@ -257,7 +257,7 @@ def _draw_evidence(ax: Axes, path: ParsimonyPath) -> None:
 
 def _draw_errors(ax: Axes, path: ParsimonyPath) -> None:
     error, held_out = np.sqrt(1.0 - path.r2), np.sqrt(1.0 - path.held_out_r2)
-    # less is rounding
+    # smaller errors are rounding
     least = LEAST_ERROR * max(float(error.max()), LEAST_ERROR)
     ax.plot(path.size, np.maximum(error, least), color=BLUE, marker="o", markersize=3.0, label="training rows")
     label = "held-out rows" if np.isfinite(held_out).any() else None
@@ -281,7 +281,7 @@ def _mark(ax: Axes, path: ParsimonyPath, values: Sequence[float] | Floats, label
 
 
 def _number_sizes(ax: Axes, path: ParsimonyPath) -> None:
-    """Number of terms, and below each what changes against the one before."""
+    """Label the horizontal axis: number of terms, and below it the terms added and removed."""
     ax.set_xlim(path.size[0] - 0.5, path.size[-1] + 0.5)
     ax.set_xticks(path.size)
     ax.xaxis.remove_overlapping_locs = False  # minor ticks at the places of major ones

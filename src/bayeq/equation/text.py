@@ -23,38 +23,38 @@ from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
 from bayeq.markup import printed, text_console
 from bayeq.states import rates
 
-# No table is as wide: in a pipe none is broken.
+# Wider than any table: in a pipe no line is broken.
 WIDE = 10_000
-# Longer names are shortened in tables; to half of this on terminals with less columns than these.
+# Longer names are shortened in tables; to half of this on terminals with fewer columns than ROOMY.
 LONGEST_NAME, ROOMY = 24, 110
 
-# Coefficients of the likelihood itself are written out where they differ by more than this many standard deviations.
+# The likelihood's own coefficients are printed too if they differ by more than this many standard deviations.
 FAR = 3.0
 
-# An intercept of zero that is known so well was not estimated.
+# An intercept of zero with a smaller standard deviation was not estimated.
 NOTHING = 1e-100
 
 # A term of a higher PIP is called certain.
 CERTAIN = 0.99
 
-# Intervals that are not those given the terms shown, and what is said of them.
+# Mark of intervals over models, and its footnote.
 MARK = "*"
 OVER_MODELS = "interval over all models that hold the term; given the terms shown: shown_ci95, --conditional"
 # Terms that the record does not determine are listed up to this number.
 MOST_UNDETERMINED = 6
 
-# A form is undecided where another one has more than this probability: within 3 nats.
+# A form is undecided if the second likeliest has more than this probability: within 3 nats.
 FORMS = 0.05
 
-# What is said of residuals, if it had a smaller probability by chance.
+# A property of the residuals is reported if its p-value is smaller.
 DOUBTFUL = 1e-3
 
-# How inputs go between samples.
+# Names of the interpolations of inputs between samples.
 BETWEEN = {"linear": "straight lines", "hold": "held", "band-limited": "band-limited", "cubic": "smooth"}
 
 
 def escape(text: str) -> str:
-    """Text from a file without markup, and without what a terminal would obey."""
+    """Text from a file, with markup escaped and without control characters of terminals."""
     return markup.escape(printable(text))
 
 
@@ -78,7 +78,7 @@ def render(eq: Answer, with_warnings: bool = True, conditional: bool = False) ->
 
 
 def given_of(eq: Answer) -> list[str]:
-    """What was given beside the record, and what was done with the equations."""
+    """Lines on hidden states, the band, given noise and calibration, learned lags, refinement and constraints."""
     known, out = eq.data.sensors, hidden_of(eq)
     if eq.data.band is not None:
         low, high = eq.data.band
@@ -102,7 +102,7 @@ def given_of(eq: Answer) -> list[str]:
 
 
 def hidden_of(eq: Answer) -> list[str]:
-    """Odds of the equations without hidden states."""
+    """A line for each hidden state with the odds of the equations without it."""
     out = []
     for one in eq.hidden:
         odds = odds_text(one.log_odds_without) if math.isfinite(one.log_odds_without) else "not known, no fit has it"
@@ -111,13 +111,13 @@ def hidden_of(eq: Answer) -> list[str]:
 
 
 def learned_of(eq: Answer) -> list[str]:
-    """Lags and factors of channels, which were learned."""
+    """A line for each lag or calibration factor of a channel that was learned."""
     found = {"lag": eq.data.sensors.lags, "factor": eq.data.sensors.gains}
     return [f"{what} of {name}: {one} (learned)" for what, learned in found.items() for name, one in learned.items()]
 
 
 def source_of(eq: Answer, short: bool = False) -> str:
-    """Rows, rate and file, and which rows were used; only that some were not, where it is to be short."""
+    """Rows, rate and file, and which rows were used and held out; in fewer words with `short`."""
     names = [name for name in eq.data.files if name]
     source = f" of {printable(names[0])}" if len(names) == 1 else f" of {len(eq.data.files)} records" if names else ""
     used = f"{eq.data.n_train} used"
@@ -162,7 +162,7 @@ def _render_equation(
     doubts = [*forms_of(equation), *equation.at_ends, *_differences(equation, score), *unseen(equation)]
     for line in (*_checks(equation, scores), *doubts):
         console.print(escape(line))
-    # of an equation that terms were left out of, the likelier ones are no runners-up
+    # models that are likelier only because terms were left out are no runners-up
     runners_up = [r for r in equation.runners_up if not equation.left_out or r.log_odds <= 0]
     if runners_up:
         console.print("runners-up, with their posterior odds against this equation:")
@@ -172,7 +172,7 @@ def _render_equation(
 
 
 def forms_of(equation: Equation) -> list[str]:
-    """How likely the members of each either-or are that is in the equation."""
+    """A line with the probabilities of the members of each either-or in the equation."""
     out, shown = [], set(equation.shown)
     for found in equation.forms.values():
         if len(found) > 1 and any(shown.issuperset(split_at(name)) for name in found):
@@ -186,7 +186,7 @@ def forms_of(equation: Equation) -> list[str]:
 
 
 def _differences(equation: Equation, score: str) -> list[str]:
-    """Terms that are included or shown and not both, and why."""
+    """Lines on terms that are included or shown but not both, and on coefficients far from the likelihood's own."""
     p, shown, out = equation.posterior, equation.shown_posterior, list[str]()
     for left in equation.left_out:
         sure = "certain" if left.pip > CERTAIN else "likely"
@@ -200,7 +200,7 @@ def _differences(equation: Equation, score: str) -> list[str]:
             out.append(f"shown, though its {score} is {p.pip[j]:.3f}: {term.text} ({equation.why[term.text]})")
     if shown.projected is not None:
         own, sd = shown.projected.coef, shown.projected.sd
-        # of a force of long memory that is independent of the motion the likelihood knows more
+        # if the discrepancy is a force of long memory, independent of the motion, the likelihood is more accurate
         far = np.flatnonzero(shown.support & (np.abs(shown.coef - own) > FAR * sd))
         listed = [f"{equation.terms[j].text} {round_to(own[j], sd[j])}" for j in far]
         if listed:
@@ -214,10 +214,10 @@ def _differences(equation: Equation, score: str) -> list[str]:
 def _print_table(
     console: Console, equation: Equation, rows: Sequence[Row], score: str, names: Mapping[str, str]
 ) -> None:
-    """The table of terms, without units and shares of variance where a terminal is too narrow for them."""
+    """Print the table of terms, without units and shares of variance if the terminal is too narrow for them."""
     left_out, terminal = list[str](), console.is_terminal
     kept = np.flatnonzero(equation.shown_posterior.support)
-    # beside the numbers, where they are known
+    # further columns, where they are known
     extra = ["share"] if equation.share is not None and len(kept) else []
     extra += ["unit"] if any(equation.coef_units[j] for j in kept) else []
     while True:
@@ -241,7 +241,7 @@ def _print_table(
 
 
 def unseen(equation: Equation, most: int = MOST_UNDETERMINED, advice: str = "") -> list[str]:
-    """A line on terms that could matter elsewhere and are too small here, if there are any."""
+    """A line on terms too small to be seen in the record that could matter at other amplitudes; empty if none are."""
     if not equation.undetermined or equation.bound is None:
         return []
     bound = dict(zip([term.text for term in equation.terms], equation.bound.tolist(), strict=True))
@@ -251,7 +251,7 @@ def unseen(equation: Equation, most: int = MOST_UNDETERMINED, advice: str = "") 
 
 
 def _checks(equation: Equation, scores: Scores | None) -> Iterator[str]:
-    """What channels are to each other whose units do not belong together; fits, the free run and residuals."""
+    """Lines on factors between channels of inconsistent units, on fits, the free run and the residuals."""
     chain = equation.chain
     factors = rates(chain, equation.unit_gains)
     if not all(math.isclose(factor, 1.0) for factor in factors):
@@ -284,7 +284,7 @@ def _checks(equation: Equation, scores: Scores | None) -> Iterator[str]:
 
 
 def left_beside_noise(equation: Equation) -> str | None:
-    """What terms leave beside noise, in per cent of the target's standard deviation; None where it is not known."""
+    """Discrepancy that terms leave beside noise, in per cent of the target's standard deviation; None if not known."""
     share = equation.residuals.discrepancy if equation.error_share is None else equation.error_share
     if share is None:
         return None
@@ -296,21 +296,21 @@ _NAME = re.compile(r"[^\W\d]\w*")
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A term, a constant inside terms, or the intercept; texts are empty where there is nothing to say."""
+    """A row of the table: a term, a constant inside terms, or the intercept; texts may be empty."""
 
     name: str  # the term, ``{name}`` of a constant, or ``intercept``
-    coefficient: str = ""  # it, and the two that follow, are empty of a term that is not shown
+    coefficient: str = ""  # empty, like `sd` and `interval`, for a term that is not shown
     sd: str = ""
     interval: str = ""
-    over_models: bool = False  # whether the interval is that over models
-    absent: str = ""  # what is said of a term that is not shown
-    pip: float = math.nan  # NaN of what is no term
-    share: str = ""  # of the target's variance
+    over_models: bool = False  # whether the interval is the one over models
+    absent: str = ""  # text in place of the coefficient of a term that is not shown
+    pip: float = math.nan  # posterior inclusion probability; NaN for a constant or the intercept
+    share: str = ""  # share of the target's variance
     unit: str = ""
 
     @property
     def score(self) -> str:
-        """The probability, or what stands in its column."""
+        """Text of the probability; empty for a constant or the intercept."""
         return "" if math.isnan(self.pip) else f"{self.pip:.3f}"
 
 
@@ -318,7 +318,7 @@ def rows_of(equation: Equation, conditional: bool = False) -> list[Row]:
     """Terms shown, included or likely, constants, intercept; with `conditional` intervals are given the terms shown."""
     p, shown, rows = equation.posterior, equation.shown_posterior, list[Row]()
     intervals = equation.shown_ci95 if conditional else equation.printed_ci95
-    for j, term in enumerate(() if equation.chain.stated else equation.terms):  # a law that was stated is all in
+    for j, term in enumerate(() if equation.chain.stated else equation.terms):  # a stated law has no candidates
         pip = float(p.pip[j])
         if shown.support[j]:
             share = math.nan if equation.share is None else equation.share[j]
@@ -346,7 +346,7 @@ def rows_of(equation: Equation, conditional: bool = False) -> list[Row]:
 
 
 def short_names(texts: Sequence[str], longest: int) -> dict[str, str]:
-    """A shorter spelling of every name in some terms that has more than `longest` characters.
+    """Shorter spellings of the names in terms that have more than `longest` characters, by name.
 
     Beginning and end are kept. Names that would look alike are shortened less.
 
@@ -366,7 +366,7 @@ def short_names(texts: Sequence[str], longest: int) -> dict[str, str]:
 
 
 def with_names(text: str, names: Mapping[str, str]) -> str:
-    """A term with some of its names replaced.
+    """A term with its names replaced as in `names`.
 
     >>> with_names("displacement**3*dis", {"displacement": "dis…ent"})
     'dis…ent**3*dis'

@@ -1,4 +1,4 @@
-"""Equations as plain data: what the command line prints, and what files hold."""
+"""Equations as plain data, for ``bayeq discover --json`` and for saved files."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ def _plain(value: Any) -> Any:
 
 
 def _attributes(of: object, *names: str) -> dict[str, Any]:
-    """Attributes that are saved under their own names."""
+    """Attributes of an object by their names, as plain data."""
     return {name: _plain(getattr(of, name)) for name in names}
 
 
 def to_dict(eq: Answer) -> dict[str, Any]:
-    """The answer as plain data, every candidate term of every equation in it."""
+    """The answer as plain data, with every candidate term of every equation."""
     files, found = eq.data.files, own_parameters(eq)
-    constants: dict[str, dict[str, Any]] = {}  # those inside terms, each once
+    constants: dict[str, dict[str, Any]] = {}  # constants inside terms, each once
     for equation in eq.equations:
         for constant in equation.constants:
             constants.setdefault(constant.name, _constant(equation, constant))
@@ -122,7 +122,7 @@ def _equation(equation: Equation, eq: Answer) -> dict[str, Any]:
 
 def _constant(equation: Equation, one: ConstantEstimate) -> dict[str, Any]:
     unit = equation.constant_units.get(one.name)
-    sd = {"value_sd": None if one.sd is None else plain_sd(one)}  # sd is that of the logarithm where it is one
+    sd = {"value_sd": None if one.sd is None else plain_sd(one)}  # `sd` may be that of the logarithm
     return {**asdict(one), **sd, "ci95": list(one.ci95), "terms": list(one.terms), "unit": unit}
 
 
@@ -147,9 +147,9 @@ def _terms(equation: Equation) -> list[dict[str, Any]]:
     bound = absent if equation.bound is None else equation.bound
     share = absent if equation.share is None else np.where(shown.support, equation.share, np.nan)
     columns |= {
-        "share": finite(share.tolist()),  # of a term that is shown
+        "share": finite(share.tolist()),  # only of terms shown
         "unit": equation.coef_units,
-        "bound": finite(bound.tolist()),  # of one not included
+        "bound": finite(bound.tolist()),  # only of terms not included
     }
     return [dict(zip(columns, row, strict=True)) for row in zip(*map(_plain, columns.values()), strict=True)]
 
@@ -160,7 +160,7 @@ def _model(prefix: str, model: Model) -> dict[str, Any]:
 
 
 def _average(p: Posterior) -> dict[str, Any] | None:
-    """The models that were averaged over, in short."""
+    """Summary of the model average: number of models, the ten likeliest, groups of terms that replace each other."""
     if p.average is None:
         return None
     likeliest = zip(p.average.probability[:10].tolist(), p.average.models[:10], strict=True)
@@ -188,7 +188,7 @@ def _diagnostics(equation: Equation) -> dict[str, Any]:
         },
         "residuals": {
             **asdict(equation.residuals),
-            "excess": None,  # of a regression that is gone
+            "excess": None,  # no longer computed, as earlier versions had it
             **_attributes(equation.residuals, "correlated", "driven"),
         },
         "runners_up": [asdict(r) for r in equation.runners_up],
@@ -197,7 +197,7 @@ def _diagnostics(equation: Equation) -> dict[str, Any]:
 
 
 def to_saved(eq: Answer) -> dict[str, Any]:
-    """`to_dict` and what else it takes to predict with the equations again."""
+    """`to_dict` and the posteriors, which are needed to predict with the equations again."""
     return {"format": FORMAT, **to_dict(eq), "posteriors": [_saved_posterior(e) for e in eq.equations]}
 
 
@@ -206,7 +206,7 @@ def _saved_posterior(equation: Equation) -> dict[str, Any]:
     average, details, members = p.average, p.details, np.flatnonzero(shown.support)
     given = {"terms": members.tolist(), "coef": shown.coef[members].tolist(), **_given_terms(shown)}
     return {
-        # beside the coefficients of the terms shown; None where these are the included ones
+        # the posterior given the terms shown; None if these are the included terms
         "shown": None if shown is p else given,
         **_given_terms(p),
         "n": p.n,
@@ -222,13 +222,13 @@ def _saved_posterior(equation: Equation) -> dict[str, Any]:
 
 
 def _given_terms(p: Posterior) -> dict[str, Any]:
-    """Of a posterior given its terms, beside the coefficients."""
+    """A posterior given its terms, without the coefficients: covariance, noise, means, degrees of freedom."""
     return {
         "covariance": p.covariance.tolist(),
         "noise_variance": p.noise_variance,
         "center": p.constant.center.tolist(),
         "target_mean": p.constant.mean,
         "target_mean_variance": p.constant.variance,
-        # None for infinitely many
+        # None for infinite degrees of freedom
         "freedom": None if p.projected is None else finite(p.projected.freedom.tolist()),
     }

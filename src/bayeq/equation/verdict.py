@@ -30,24 +30,24 @@ from bayeq.states import Chain, Motion
 
 Kind = Literal["none", "not determined", "nearly true", "found"]
 
-# The worst first.
+# Kinds of verdict, the worst first.
 KINDS: tuple[Kind, ...] = ("none", "not determined", "nearly true", "found")
 
-# An R2 that two decimals show as zero.
+# A smaller R2 is zero in two decimals.
 NOTHING = 0.005
 
-# What terms leave is below any effect below this share of the target's standard deviation.
+# A discrepancy below this share of the target's standard deviation has no effect that could be seen.
 LEAST_SHOWN = 1e-3
 
 LONGER = "a longer record, other amplitudes or frequencies would tell (bayeq plan), or terms known beforehand"
 CAREFUL = "parameters may be off by more than their intervals say"
 
-# Mass matrices, one for each of some rows, that are looked at. Below this share of the sum of its products' sizes a
-# determinant is 0: coefficients that are wrong by as much have another sign of it.
+# Most rows at which mass matrices are examined. A determinant counts as 0 below this share of the sum of the magnitudes
+# of its products: coefficients that are wrong by as much change its sign.
 MOST_MATRICES, SINGULAR = 500, 0.01
 
-# A law that leaves more than this share of the target's standard deviation is not found: no test need reject in a short
-# record.
+# A law that leaves more than this share of the target's standard deviation is at best nearly true: in a short record
+# tests may not reject it.
 MUCH = 0.2
 
 
@@ -58,21 +58,21 @@ class Verdict:
     Attributes
     ----------
     kind : "none", "not determined", "nearly true" or "found"
-        ``none``: on the rows held out (on the training rows, if none are) the equation explains less than half of what
-        stands above the noise of the target, or free runs over windows of one period (chaotic motion: of the time in
-        which its autocorrelation falls to 1/e) err by the spread and noise of the whole motion or more; or no term is
-        in the equation. Rows at rest are compared with the variance of the whole motion.
-        ``not determined``: the engine did not converge, equations that predict otherwise have more than 5 % of the
-        probability, or the motion repeats itself and does not tell the candidates apart
+        ``none``: on the rows held out (on the training rows, if none are) the equation explains less than half of the
+        target's variance above its noise, or free runs over windows of one period (chaotic motion: of the time in which
+        its autocorrelation falls to 1/e) err by at least the spread and noise of the whole motion; or the equation has
+        no term. Rows at rest are compared with the variance of the whole motion.
+        ``not determined``: the engine did not converge, models with other predictions have more than 5 % of the
+        probability, the record contradicts what was stated, or periodic motion does not distinguish the candidates
         (`bayeq.equation.selection.excitation`).
-        ``nearly true``: the law lacks a function of the states (its probability to lack none is below 1 %,
-        `bayeq.likelihood.spike`), the motion needs a force that no term explains, what is left of a channel is not
+        ``nearly true``: the law lacks a function of the states (the probability that it lacks none is below 1 %,
+        `bayeq.likelihood.spike`), the motion needs a force that no term explains, innovations of a channel are not
         white noise, or a coefficient changes over the record (`bayeq.likelihood.adequacy`); or the terms leave more
-        than 20 % of the target.
+        than 20 % of the target's standard deviation.
     reason : str
-        In a sentence.
+        The reason, in a sentence.
     advice : str
-        What to do about it, in a sentence; empty where there is nothing.
+        What to do about it, in a sentence; empty if there is nothing.
     """
 
     kind: Kind
@@ -85,18 +85,18 @@ class Verdict:
 
 def judge(
     target: str,  # the left-hand side
-    fit: Fit,  # on these rows; of an estimated target, of what the smoother makes of both sides
-    held_out: bool,  # whether these are the rows held out, not the training rows
+    fit: Fit,  # R2 and errors of the equation; both sides are smoothed alike if the target is estimated
+    held_out: bool,  # whether the fit is on the rows held out, not on the training rows
     noise: float,  # share of the target's variance that is noise, or error of its estimate, as far as it is known
-    window: tuple[float, str] | None,  # error of free runs over windows, from `window_errors`, and how long these are
-    target_estimated: bool = False,  # by a smoother: where the target is hardly more than its error, runs decide
+    window: tuple[float, str] | None,  # error of free runs over windows and their length in words, from `window_errors`
+    target_estimated: bool = False,  # whether a smoother estimated it: free runs decide if it is hardly above its error
     share: float = 1.0,  # the target's variance on these rows as a share of that over the whole motion
-    numbers: float = 1.0,  # independent ones in a row of the target
+    numbers: float = 1.0,  # independent values in a row of the target
 ) -> Verdict:
     """The verdict on one equation."""
     where = f"the {'held-out' if held_out else 'training'} rows"
     r2, of_all, limit = fit.r2, "", 3.0 * math.sqrt(2.0 / max(numbers * fit.n, 1.0))
-    # the variance of n rows errs by sqrt(2/n) of itself: less than that tells nothing of what is above the noise
+    # a variance of n values has the relative error sqrt(2/n): a signal within three of these may be noise
     signal, signal_of_all = 1.0 - noise, 1.0 - share * noise
     if signal_of_all > limit and share * signal < EQUATION.at_rest * signal_of_all:
         r2, signal = 1.0 - share * (1.0 - r2), signal_of_all
@@ -121,20 +121,20 @@ def judge(
 
 
 def doubted(
-    verdict: Verdict,  # of `judge`
+    verdict: Verdict,  # from `judge`
     chain: Chain,  # its highest derivative is the left-hand side
-    others: Alternatives,  # equations that predict otherwise
-    lacking: Discrepancy | None,  # what the motion needs and the equation does not hold
-    coloured: Octave | None,  # where what is left of a channel is not white
-    again: Repeating | None = None,  # motion that repeats itself and does not tell the candidates apart
+    others: Alternatives,  # models with other predictions
+    lacking: Discrepancy | None,  # the force that the motion needs and the terms do not explain
+    coloured: Octave | None,  # octave in which a channel's innovations are not white
+    again: Repeating | None = None,  # periodic motion that does not distinguish the candidates
     exact: float = 1.0,  # probability that the law lacks no function of the states
     left: float | None = None,  # share of the target's standard deviation that the terms leave beside noise
-    reversed_channel: str | None = None,  # one that contradicts the lowest of its chain in sign
-    # effective number of residuals of rows as measured, and their number, where it is less than half of that
+    reversed_channel: str | None = None,  # channel whose sign contradicts the lowest channel of its chain
+    # effective number of residuals and their number, if the first is less than half of it; only of rows as measured
     n_eff: tuple[float, int] | None = None,
     changing: Change | None = None,  # a coefficient that changes over the record
 ) -> Verdict:
-    """The verdict of an equation that is not wrong: is it determined, and is it all there is?"""
+    """The verdict of `judge`, reconsidered: whether the record determines the equation, and whether it is complete."""
     target, rate = chain.target, "per sample" if chain.discrete else "Hz"
     if verdict.kind in ("none", "not determined") or chain.stated:
         return verdict
@@ -159,7 +159,7 @@ def doubted(
             LONGER,
         )
     unexplained = f"{percent(share)} of {target} is not explained by these terms"
-    # most of what is not explained, by a coefficient that keeps its sign: others may make up for a missing term
+    # a changing coefficient explains most of the discrepancy; one that changes sign may stand for a missing term
     if changing is not None and changing.share > share * math.sqrt(0.5) and not changing.reverses:
         return _changing(changing)
     if exact < LIKELIHOOD.nearly_true and not share < LIKELIHOOD.misfit_least:
@@ -168,7 +168,7 @@ def doubted(
             f"{unexplained}; what is missing depends on the states",
             f"{CAREFUL}: add terms, and check the calibration and timing of the channels",
         )
-    # what a chaotic map does within the error of its path is taken to be linear, which leaves a little
+    # a chaotic map is linearised within the error of its path, which leaves a small discrepancy
     if lacking is not None and not (chain.discrete and share < LEAST_SHOWN):
         low, high = lacking.octave
         return Verdict(
@@ -197,7 +197,7 @@ def doubted(
 
 
 def suspecting(verdict: Verdict, found: Suspect, seconds: float) -> Verdict:
-    """The verdict on a law that is at best nearly true, as a channel, of `seconds`, is off; and what helps."""
+    """The verdict, at best nearly true, with advice on a channel that seems off; `seconds` is the record's length."""
     name, size, above = found.channel, abs(found.value), found.value > 0.0
     digit, much = 10.0 ** math.floor(math.log10(size)), "large" if above else "small"
     prior = f"{name}={math.ceil(size / digit) * digit:.1g}"
@@ -245,7 +245,7 @@ def _changing(one: Change) -> Verdict:
 
 
 def worst(verdicts: Sequence[tuple[str, Verdict]]) -> Verdict:
-    """The verdict on a system of equations, by their targets: the worst of them."""
+    """The verdict on a system of equations: the worst of those given with their targets."""
     least = min((one for _, one in verdicts), key=lambda one: KINDS.index(one.kind))
     if least.kind != "found" or len(verdicts) == 1:
         return least
@@ -253,10 +253,10 @@ def worst(verdicts: Sequence[tuple[str, Verdict]]) -> Verdict:
 
 
 def alike(dynamics: Dynamics, motion: Motion) -> tuple[str, ...]:
-    """Targets of equations that say the same: along the motion the determinant of I - A is 0 within its error.
+    """Targets of dependent equations: along the motion the determinant of the mass matrix I - A is 0 within its error.
 
-    A holds what equations multiply highest derivatives of each other by (`bayeq.expressions.implicit`). The determinant
-    depends on no unit, and its error is that of the entries times their cofactors.
+    A holds the factors of highest derivatives in the equations (`bayeq.expressions.implicit`). The determinant does not
+    depend on units, and its error is that of the entries times their cofactors.
     """
     targets = dynamics.roles.targets
     coupled = [
@@ -311,11 +311,11 @@ def state_noise(motion: Motion) -> dict[str, float]:
 
 
 def window_errors(dynamics: Dynamics, motion: Motion) -> Sequence[tuple[float, str] | None]:
-    """Of each equation the median error of free runs over windows, and how long these are: a period, in words.
+    """For each equation the median error of free runs over windows, and the length of the windows in words.
 
-    Windows are of the rows held out, or of the training rows if none are; those of chaotic motion last at most
-    `correlation_time`. Units are the spread and noise of the states over the whole motion. None without time, with too
-    few rows, and of static laws.
+    Windows last a typical period, in chaotic motion at most `correlation_time`. They are from the rows held out, or
+    from the training rows if none fit there. Errors are over the spread and noise of the states in the whole motion.
+    None without time, with too few rows, and for static laws.
     """
     none = [None] * len(dynamics.laws)
     if not (motion.timed and dynamics.states):

@@ -1,7 +1,7 @@
-"""Units of coefficients, from those of the channels; numbers, terms and constants as answers have them.
+"""Units of coefficients from the units of channels; numbers, terms and constants as they are written in answers.
 
 ``m/s^2`` per ``mm`` is ``m/s^2/mm``: symbols are multiplied and cancelled, never converted. Parameters of an oscillator
-are in SI units where those of the channels are known.
+are in SI units if the units of the channels are known.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from bayeq.expressions.symbolic import step_latex
 from bayeq.records.names import Unit, derivative_ratio, in_si, multiply_units, parse_unit, written_unit
 from bayeq.states import Chain
 
-# A constant that is this many times the end of its range is far beyond it.
+# A constant at this many times the lower end of its range, or one over this times the upper end, is far beyond it.
 BEYOND = 1e-9
 
-# Functions of numbers without a unit; those of angles, and units of these.
+# Functions of dimensionless arguments; functions of angles, and the units of angles.
 PURE = (
     "sin", "cos", "tan", "asin", "acos", "atan", "exp", "log", "log10", "log1p", "sinh", "cosh", "tanh", "asinh",
     "acosh", "atanh", "erf",
 )  # fmt: skip
 OF_ANGLES = ("sin", "cos", "tan")
 RADIANS, DEGREES = (Unit(), parse_unit("rad")), (parse_unit("deg"), parse_unit("°"))
-# Numbers by which a term converts degrees itself.
+# Factors by which a term converts degrees to radians itself.
 CONVERTING = (180.0, math.pi / 180.0, 180.0 / math.pi)
 
 # Functions whose values have the unit of an argument, or of its root.
@@ -42,7 +42,7 @@ _LIKE_ARGUMENTS = ("abs", "cbrt", "max", "min", "mod", "relu", "sqrt", "where")
 
 
 def _of(node: Node, units: Mapping[str, str]) -> Unit | None:
-    """Unit of a term; None where a channel's is not known, or where units do not fit together."""
+    """Unit of a term; None if the unit of a channel is not known, or if units do not fit together."""
     match node:
         case Number() | Constant():
             return {}
@@ -75,7 +75,7 @@ def _of(node: Node, units: Mapping[str, str]) -> Unit | None:
 
 
 def quotient_unit(target: str, term: Expression, units: Mapping[str, str]) -> str | None:
-    """Unit of the coefficient of a term in the equation of a target, all in names of channels.
+    """Unit of the coefficient of a term in the equation of a target, from the units of the channels.
 
     None where the unit of the target or of a channel in the term is not known.
 
@@ -91,9 +91,9 @@ def quotient_unit(target: str, term: Expression, units: Mapping[str, str]) -> st
 
 
 def constant_units(terms: Sequence[Expression], units: Mapping[str, str]) -> dict[str, str]:
-    """Units of the constants inside terms: of what they are added to or divide, one over that of what they multiply.
+    """Units of the constants inside terms: that of their other summand or dividend, or one over that of their factor.
 
-    Those of a product that is no argument of a function are left out, as are exponents.
+    Constants in a product that is not the argument of a function are left out, and so are exponents.
 
     >>> from bayeq.expressions import parse
     >>> constant_units([parse("tanh(v/{v0})"), parse("exp(-{a}*t)")], {"v": "m/s", "t": "s"})
@@ -134,7 +134,7 @@ def _in_radians(node: Node, units: Mapping[str, str]) -> Node:
 
 
 def _converts(node: Node) -> bool:
-    """Whether an angle is multiplied by what makes radians of degrees."""
+    """Whether an angle holds pi or another factor that converts degrees to radians."""
     match node:
         case Constant("pi"):
             return True
@@ -157,7 +157,7 @@ def arguments_with_units(term: Expression, units: Mapping[str, str]) -> Iterator
 
 
 def _is_plain(path: Sequence[Node]) -> bool:
-    """Whether a product, the last of a path, has no unit: in a function, or beside a number."""
+    """Whether the product that ends a path is dimensionless: inside a function, or added to a number."""
     child = path[-1]
     for parent in reversed(path[:-1]):
         match parent:
@@ -177,10 +177,10 @@ def _is_plain(path: Sequence[Node]) -> bool:
 def channel_units(
     stated: Sequence[Mapping[str, str]], chains: Sequence[Chain], inputs: Sequence[str], clock: str
 ) -> tuple[dict[str, str], list[str]]:
-    """Units of states, targets and inputs, as far as each of the records states them, and the conflicts.
+    """Units of states, targets and inputs, as far as any of the records states them, and the conflicts.
 
-    A derivative that is not measured has the unit of the nearest one that is, over or times that of time. A conflict
-    is a sentence on a channel whose unit depends on the record; its unit is left out.
+    A derivative that is not measured has the unit of the nearest one that is, divided or multiplied by that of time. A
+    conflict is a sentence on a channel whose unit differs between records; its unit is left out.
     """
     units: dict[str, str] = {}
     conflicts = []
@@ -205,14 +205,14 @@ SHORTER: Mapping[str, str] = {"N*s^2/m": "kg", "N*m*s^2": "kg*m^2", "Nm*s^2": "k
 
 
 class OscillatorUnits:
-    """What the numbers of channels are in consistent units, SI where these are known.
+    """Factors from the units of an oscillator's channels to consistent units, SI where the units are known.
 
-    Consistent are a displacement, its derivatives by seconds, and a force; the factors turn coefficients of the
-    channels' numbers into coefficients of those. Gains are what the motion says of the units
-    (`bayeq.states.sensors`), empty where it says nothing, and `force` is the input that is one. With `in_kg` the
-    mass is given: in kg (kg m^2, if the displacement is an angle) where the displacement's unit is known.
+    In consistent units velocity and acceleration are derivatives of the displacement by seconds; the factors convert
+    coefficients from channel units to these. `gains` are the ratios of channels that the motion shows
+    (`bayeq.states.sensors`), empty if none; `force` is the input that is a force, if any. With `in_kg` the mass is
+    given: in kg (kg m^2, if the displacement is an angle) where the displacement's unit is known.
 
-    InputError for units that are not those of a motion and its derivatives, or not those of this motion.
+    InputError for units that do not fit a displacement and its derivatives, or that the motion contradicts.
     """
 
     def __init__(
@@ -222,7 +222,7 @@ class OscillatorUnits:
         self.length: Unit | None = parse_unit(units[x]) if x in units else None
         self.force: Unit | None = parse_unit(units[force]) if force is not None and force in units else None
         self.per_length = self.per_force = 1.0
-        # a channel's number is this ratio times the derivative's of the displacement
+        # channel = ratio times the derivative of the displacement's channel
         self.velocity, self.acceleration = (_ratio(units, chain, k, gains[k] if gains else None) for k in (1, 2))
         stated = self.length
         if self.length is not None:
@@ -234,12 +234,12 @@ class OscillatorUnits:
             self.force = multiply_units({"N": Fraction(1)}, {} if self.length else {"m": Fraction(1)})
 
     def scale(self, powers: tuple[int, int]) -> float:
-        """Of the coefficient of x**p v**q in the equation of the acceleration."""
+        """Factor to consistent units for the coefficient of x**p v**q in the equation of the acceleration."""
         p, q = powers
         return self.velocity**q / self.acceleration * self.per_length ** (1 - p - q)
 
     def scale_force(self) -> float:
-        """Of the coefficient of the force."""
+        """Factor to consistent units for the coefficient of the force."""
         return self.scale((0, 0)) / self.per_force
 
     def displacement(self) -> str | None:
@@ -247,11 +247,11 @@ class OscillatorUnits:
         return None if self.length is None else _written(self.length)
 
     def mass(self) -> str | None:
-        """Unit of the mass, a force by acceleration; None where it is not known."""
+        """Unit of the mass, a force over an acceleration; None where it is not known."""
         return self.unit((-1, 2), with_mass=True)
 
     def unit(self, powers: tuple[int, int], with_mass: bool) -> str | None:
-        """Unit of the parameter of x**p v**q, as a force or per unit of mass; None where it is not known."""
+        """Unit of the parameter of x**p v**q, with the mass in it or per unit of mass; None where it is not known."""
         p, q = powers
         of_term = self.force if with_mass else multiply_units(dict(self.length or {}), {"s": Fraction(-2)})
         if self.length is None or of_term is None:
@@ -261,7 +261,7 @@ class OscillatorUnits:
 
 
 def _ratio(units: Mapping[str, str], chain: Chain, order: int, gain: float | None) -> float:
-    """Factor of a derivative's channel to the derivative of the displacement's; `gain` is what the motion says."""
+    """Ratio of a derivative's channel to the derivative of the displacement's; `gain` is the one that motion shows."""
     x, other = chain.names[0], chain.names[order]
     if x not in units or other not in units:
         return 1.0 if gain is None else gain
@@ -277,13 +277,13 @@ def _ratio(units: Mapping[str, str], chain: Chain, order: int, gain: float | Non
 
 
 def _written(unit: Unit) -> str:
-    """``N*s/m``; a shorter name where there is one, and no text of a pure number."""
+    """A unit as text, ``N*s/m``, by its shorter name if it has one; empty for a pure number."""
     order = sorted(unit.items(), key=lambda item: ({"N": 0, "m": 1, "s": 2}.get(item[0], -1), item[0]))
     text = written_unit(dict(order)) if unit else ""
     return SHORTER.get(text, text)
 
 
-# A value is at the end of its range within this share of it.
+# A value is at an end of its range if it is within this share of the range from it.
 AT_END = 0.01
 
 
@@ -293,7 +293,7 @@ def plain_sd(one: ConstantEstimate) -> float:
 
 
 def limit_of(one: ConstantEstimate, terms: Sequence[Expression], end: str) -> str:
-    """What stands for the only term of a constant far beyond an end of its range: ``sign(v)`` for tanh(v/{v0})."""
+    """Text on the limit of a constant's only term far beyond an end of its range: ``sign(v)`` for tanh(v/{v0})."""
     own = [term for term in terms if term.text in one.terms and len(term.names) == 1]
     if len(own) != 1 or not one.low > 0.0:
         return "the term without it"
@@ -309,7 +309,7 @@ def limit_of(one: ConstantEstimate, terms: Sequence[Expression], end: str) -> st
 
 
 def at_end(one: ConstantEstimate, unit: str = "", terms: Sequence[Expression] = ()) -> Iterator[str]:
-    """What to say of a constant whose value, or interval, ends with its range; nothing of others."""
+    """A message if the value or the interval of a constant reaches an end of its range; none otherwise."""
     low, value, high = (math.log(end) if one.logarithmic else end for end in (one.low, one.value, one.high))
     place = (value - low) / (high - low)
     shown = f"({one.low:.3g} .. {one.high:.3g}{f' {unit}' if unit not in ('', '1') else ''})"
@@ -325,7 +325,7 @@ def at_end(one: ConstantEstimate, unit: str = "", terms: Sequence[Expression] = 
 
 
 def left_out_forms(forms: Forms, pip: Mapping[str, float]) -> Iterator[str]:
-    """What to say of members of the either-ors of an equation that were not compared with the others."""
+    """Messages on members of either-ors that are not finite and so were not compared with the others."""
     for choice, found in forms.items():
         left = [name for name in choice.split(" | ") if name in pip and name not in found]
         if any(pip.get(name) for name in found):
@@ -361,13 +361,13 @@ def round_to(value: float, sd: float) -> str:
 
 
 def with_interval(value: float, sd: float, interval: Sequence[float]) -> tuple[str, str, str]:
-    """A number, its standard deviation and its interval."""
+    """A number, its standard deviation and its interval, as text."""
     low, high = (round_to(end, sd) for end in interval)
     return round_to(value, sd), f"{sd:.2g}", f"{low} .. {high}"
 
 
 def odds_text(log_odds: float) -> str:
-    """Odds from their logarithm: against, or for.
+    """Odds as text from their logarithm: ``1:20`` against, ``20:1`` for.
 
     >>> odds_text(-2.0), odds_text(3.0), odds_text(-280.0)
     ('1:7.4', '20:1', '1:4e+121')
@@ -388,7 +388,7 @@ def moment(time: float, discrete: bool) -> str:
 
 
 def finite(value: Any) -> Any:
-    """A value, list or mapping as JSON can hold it: None for a number that is infinite or not known."""
+    """A value, list or mapping for JSON: None in place of numbers that are infinite or NaN."""
     if isinstance(value, Mapping):
         return {name: finite(one) for name, one in value.items()}
     if isinstance(value, list):
@@ -397,7 +397,7 @@ def finite(value: Any) -> Any:
 
 
 def in_latex(chains: Sequence[Chain], names: Iterable[str]) -> dict[str, str]:
-    """Coordinates and their derivatives in LaTeX, derivatives as dots; of maps the names with their steps."""
+    """Coordinates and their derivatives in LaTeX, derivatives as dots; for maps the names with their steps."""
     import sympy
 
     if chains[-1].discrete:

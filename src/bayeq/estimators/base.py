@@ -1,4 +1,4 @@
-"""What the scikit-learn estimators share: data in, an engine, fitted attributes out."""
+"""Base classes of the scikit-learn estimators: validation of data, Gram matrices, fitted attributes."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class SparseRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         return self._engine(standard.gram).rescaled(standard)
 
     def _validated(self, D: Any, y: Any, sample_weight: Any) -> tuple[Floats, Floats]:
-        """The data as scikit-learn validates them; arrays of the right type and shape need less of it."""
+        """The data, validated by scikit-learn; arrays of the right type and shape need fewer checks."""
         if (
             type(D) is type(y) is np.ndarray
             and D.dtype == y.dtype == np.float64
@@ -97,7 +97,7 @@ class SparseRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         try:
             grams = grams_of(D, y if several else y[:, None], getattr(self, "feature_names_in_", None), sample_weight)
         except InputError:
-            # values that are not finite, in scikit-learn's own words
+            # scikit-learn's own error for values that are not finite
             self._validated_thoroughly(D, y)
             raise
         if grams[0].n < 2:
@@ -108,12 +108,12 @@ class SparseRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         return self._fitted(grams, several)
 
     def _fitted(self, grams: tuple[Gram | LazyGram, ...], several: bool) -> Self:
-        """Set all that a fit leaves."""
+        """Set the attributes of a fit."""
         self.posteriors_ = tuple([self._solve(gram) for gram in grams])
         self._several = several
         self._keep(grams)
         self.n_effective_ = float(grams[0].n)
-        # what `partial_fit` adds to; a lazy one is the data themselves, which are not kept
+        # Grams that `partial_fit` adds to; a lazy one holds the data themselves, which are not kept
         self._sums = tuple([gram for gram in grams if isinstance(gram, Gram)])
         return self
 
@@ -132,7 +132,7 @@ class SparseRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         y : (n,) or (n, T) array
             Target, or targets, as many as in the first call.
         sample_weight : (n,) array, optional
-            How often each row counts beside that, as in `fit`. A row of weight 0 is left out; time passes all the same.
+            Further weight of each row, as in `fit`. A row of weight 0 is left out; time passes all the same.
 
         Raises
         ------
@@ -170,7 +170,7 @@ class SparseRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         return self._fitted(grams, several)
 
     def _read(self, field: str, listed: bool = False) -> Any:
-        """A field of the posterior, or of a part of it; of those of several targets stacked, or as a list."""
+        """A field of the posterior, as ``details.n_iter``; for several targets stacked, or as a list if `listed`."""
         values = list(map(attrgetter(field), self.posteriors_))
         return values[0] if not self._several else values if listed else np.array(values)
 
@@ -212,7 +212,7 @@ class SparseRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         Returns
         -------
         (n,) or (n, T) array, or a pair of them
-            As y was.
+            Shape as that of the fitted y.
         """
         check_is_fitted(self, "coef_")
         D = validate_data(self, D, dtype=np.float64, reset=False)
@@ -257,7 +257,7 @@ class SpikeSlabRegressor(SparseRegressor):
         return super()._solve(gram)
 
     def _target(self, target: int | None) -> int:
-        """The index of the one target, or of the one that was asked for."""
+        """Index of the given target, 0 in a fit to one; InputError if it has to be given, or is out of range."""
         check_is_fitted(self, "coef_")
         count = len(self.posteriors_)
         if target is None and count > 1:

@@ -1,4 +1,4 @@
-"""scikit-learn faces of the engines.
+"""scikit-learn estimators of the engines.
 
 Each estimator builds a `Gram`, standardises it (eq. (32)), runs its engine and transforms the answer back to the
 units of D and y. The prior applies in the units of y, as in the paper. The fields of a class are its parameters, those
@@ -133,9 +133,9 @@ class SpikeSlabGibbs(SpikeSlabRegressor):
     pip_ : (P,) array
         Rao-Blackwellised posterior inclusion probabilities.
     coef_, covariance_ : (P,) array, (r, r) array
-        Of the median probability model, exact given the model.
+        Mean and covariance in the median probability model, exact given the model.
     averaged_coef_, averaged_sd_ : (P,) array
-        Over all samples.
+        Mean and standard deviation over all samples.
     rhat_ : float
         Multivariate potential scale reduction factor of the coefficients (Brooks and Gelman 1998).
     draws_ : Draws
@@ -183,7 +183,7 @@ class SpikeSlabGibbs(SpikeSlabRegressor):
         D : (n, P) array or DataFrame, optional
             Rows at which y is drawn from the posterior predictive distribution: a number per chain, sample and row.
         y : (n,) array, optional
-            What was observed there.
+            Values observed at these rows.
         target : int, optional
             Which target, of a fit to several.
         random_state : int or sequence of int
@@ -227,9 +227,9 @@ class SpikeSlabBMA(SpikeSlabRegressor):
     pip_ : (P,) array
         Posterior inclusion probabilities over all models.
     coef_, covariance_ : (P,) array, (r, r) array
-        Of the median probability model, exact given the model.
+        Mean and covariance in the median probability model, exact given the model.
     averaged_coef_, averaged_sd_ : (P,) array
-        Over all models, zeros included.
+        Mean and standard deviation over all models, zeros included.
     average_ : ModelAverage
         The models with their probabilities, the mass left out and the covariance over all models.
     intercept_, support_, noise_variance_, n_iter_, n_effective_, posterior_, posteriors_
@@ -275,7 +275,7 @@ class SpikeSlabBMA(SpikeSlabRegressor):
         super()._keep(grams)
         self.averaged_coef_, self.averaged_sd_ = map(self._read, ("averaged.coef", "averaged.sd"))
         self.average_ = self._read("average", listed=True)
-        # what `sample` draws from: parameters may be set again, and arrays written to, before the next fit
+        # copies for `sample`: parameters may be set again, and arrays written to, before the next fit
         prior = self._prior()
         inclusion = np.array(prior.prior_inclusion, dtype=np.float64)
         signs = None if prior.signs is None else np.array(prior.signs)
@@ -350,7 +350,7 @@ class SpikeSlabBMA(SpikeSlabRegressor):
         D : (n, P) array or DataFrame, optional
             Rows at which y is drawn from the posterior predictive distribution: a number per draw and row.
         y : (n,) array, optional
-            What was observed there.
+            Values observed at these rows.
         draws : int
             Number of draws, as one chain.
         target : int, optional

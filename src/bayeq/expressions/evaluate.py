@@ -1,4 +1,4 @@
-"""Expressions as tapes, and ``Evaluator``: on whole columns of samples, sharing what they have in common."""
+"""Expressions as tapes, and ``Evaluator``, on whole columns of samples, which shares common sub-expressions."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ IndexArray: TypeAlias = NDArray[np.uint32]
 # in the order of ARITHMETIC, and the sign
 ADD, SUBTRACT, MULTIPLY, DIVIDE, POWER, NEGATE = range(6)
 _OPCODES = {op: k for k, op in enumerate(ARITHMETIC)} | {op: one.opcode for op, one in COMPARISONS.items()}
-# what instructions make of constants
+# results of instructions on constants
 _ON_CONSTANTS: dict[int, Callable[..., Any]] = {
     **dict(enumerate(ARITHMETIC.values())),
     **{one.opcode: one.numpy for one in COMPARISONS.values()},
@@ -131,7 +131,7 @@ _ON_CONSTANTS: dict[int, Callable[..., Any]] = {
 
 
 class Program(NamedTuple):
-    """A tape as kernels take it."""
+    """A tape in the form that kernels take."""
 
     code: IndexArray  # (instructions, 4), opcode, destination, first and second operand of each instruction
     outputs: IndexArray  # (n_expressions,), the register of each expression's value
@@ -145,7 +145,7 @@ def run_tape(program: Program, tangents: Floats | None) -> None:
 
     The values of the variables are in the first registers. Tangents (n_registers, q) are derivatives of each register
     along q directions: those of the variables in front are given (0 for constants), the others are computed. With None,
-    which is a type of its own to the compiler, nothing is spent on them.
+    for which the kernel is compiled separately, they cost nothing.
     """
     code, registers = program.code, program.registers
     for i in range(code.shape[0]):
@@ -248,7 +248,7 @@ class Tape:
 
 
 class _Compiler:
-    """Numbers values: the same operation on the same registers is the same register."""
+    """Assigns registers to values: the same operation on the same registers gets the same register."""
 
     def __init__(self, variables: Sequence[str]) -> None:
         self.variables = {name: i for i, name in enumerate(variables)}

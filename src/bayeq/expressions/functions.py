@@ -33,7 +33,7 @@ class Function(NamedTuple):
     """A function of real arguments."""
 
     numpy: Callable[..., Any]  # its values on columns
-    opcode: int  # its instruction on the tape; NONE for a function that is compiled as others
+    opcode: int  # its instruction on the tape; NONE for a function compiled from others
     sympy: str  # SymPy's name, or an expression of other functions in a and b, which SymPy shows instead
     arguments: tuple[int, int | None] = (1, 1)  # how many it takes, at least and at most
     definition: str = ""  # by other functions in a and b, for the tape
@@ -70,7 +70,7 @@ def _where(condition: Any, a: Any, b: Any) -> Any:
 
 
 def _over(pair: np.ufunc) -> Callable[..., Any]:
-    """A function of two numbers, of several."""
+    """A function of several numbers, from one of two."""
     return lambda *values: reduce(pair, values)
 
 
@@ -176,7 +176,7 @@ def apply_function(opcode: int, a: float, slope: bool) -> float:
 
 @kernel(borrowing=True)
 def _further_function(opcode: int, a: float, slope: bool) -> float:
-    """As `apply_function`, of the rarer ones."""
+    """As `apply_function`, for the rarer functions."""
     if opcode == FLOOR:
         return 0.0 if slope else np.floor(a)
     if opcode == ASINH:

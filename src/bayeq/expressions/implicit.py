@@ -1,8 +1,8 @@
 """Equations whose terms hold highest derivatives of each other: ``a1 = ... + theta a2 cos(p - q)``.
 
-In matrices a = b + A a, where b sums the other terms and A holds what highest derivatives are multiplied by: the mass
-matrix is I - A. It is solved symbolically, so that a tape, its derivatives and whatever is integrated need to know
-nothing of it.
+In matrices a = b + A a, where b sums the other terms and A holds the factors of the highest derivatives: the mass
+matrix is I - A. The equations are solved for a symbolically, so that tapes, their derivatives and the integration need
+no special case.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _ZERO, _ONE = Number(0), Number(1)
 
 
 def multiplied(term: Expression, targets: Sequence[str]) -> tuple[int, Expression] | None:
-    """The highest derivative that a term is proportional to, and the rest; None without any, ValueError if otherwise.
+    """The highest derivative (its index) in a term, and its factor; None without any, ValueError if not proportional.
 
     >>> from bayeq.expressions import parse
     >>> multiplied(parse("a2*cos(p-q)"), ["a1", "a2"])
@@ -36,7 +36,7 @@ def multiplied(term: Expression, targets: Sequence[str]) -> tuple[int, Expressio
 
 
 def _without(node: Node, factor: Symbol) -> Node | None:
-    """A product, or a sum of such products, without one of its factors; None if that is none."""
+    """A product, or a sum of products, without a factor of each; None if it is not such a factor."""
     if node == factor:
         return _ONE
     match node:
@@ -78,7 +78,7 @@ def _minus(left: Node, right: Node) -> Node:
 
 
 def inverse(A: Sequence[Sequence[Node]]) -> list[list[Node]]:
-    """(I - A)^-1, by Gauss and Jordan without pivots: A is small, or the equations say the same."""
+    """(I - A)^-1 of symbolic A, by Gauss-Jordan elimination without pivoting; zero pivots are not checked."""
     n = len(A)
     unit: list[list[Node]] = [[_ONE if i == j else _ZERO for j in range(n)] for i in range(n)]
     rows = [[*map(_minus, own, row), *own] for own, row in zip(unit, A, strict=True)]
@@ -97,7 +97,7 @@ def inverse(A: Sequence[Sequence[Node]]) -> list[list[Node]]:
 def solved(
     equations: Sequence[Sequence[tuple[Node, Expression]]], targets: Sequence[str]
 ) -> tuple[list[Node], list[list[Node]]]:
-    """The highest derivatives (I - A)^-1 b of equations, each its coefficients and terms, and (I - A)^-1."""
+    """The highest derivatives (I - A)^-1 b of equations, lists of coefficients and terms, and (I - A)^-1."""
     b: list[list[Node]] = [[] for _ in targets]
     A: list[list[list[Node]]] = [[[] for _ in targets] for _ in targets]
     for c, summed in enumerate(equations):

@@ -70,12 +70,12 @@ class Constant(_Node):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Unknown(_Node):
-    """A constant whose value is to be found, written ``{name}`` or ``{name: low..high}``; with one name it is one."""
+    """A constant whose value is to be found, ``{name}`` or ``{name: low..high}``; one name is one constant."""
 
     name: str
-    low: float = math.nan  # where it may be; NaN where that is read from the record
+    low: float = math.nan  # ends of its range; NaN if it is read from the record
     high: float = math.nan
-    value: float = math.nan  # what it counts as; NaN before any value was found
+    value: float = math.nan  # current value; NaN before one is found
 
     def __post_init__(self) -> None:
         for field_name in ("low", "high", "value"):
@@ -122,7 +122,7 @@ def is_comparison(node: Node) -> bool:
 
 
 def arguments_of(node: Node) -> tuple[Node, ...]:
-    """What a node is made of; nothing for numbers, constants and symbols."""
+    """Operands or arguments of a node; empty for numbers, constants and symbols."""
     match node:
         case Negate(operand):
             return (operand,)
@@ -134,7 +134,7 @@ def arguments_of(node: Node) -> tuple[Node, ...]:
 
 
 def with_arguments(node: Node, arguments: tuple[Node, ...]) -> Node:
-    """The same operation or function of other nodes."""
+    """The same operation or function with other arguments."""
     match node:
         case Negate():
             return Negate(arguments[0])
@@ -172,7 +172,7 @@ def _bracketed(node: Node, least: int) -> str:
 
 
 def nodes_of(node: Node) -> Iterator[Node]:
-    """A node and all that it is made of."""
+    """A node and all nodes below it."""
     yield node
     for part in arguments_of(node):
         yield from nodes_of(part)
@@ -184,12 +184,12 @@ def unknowns_of(node: Node) -> Iterator[Unknown]:
 
 
 def jumps_of(node: Node) -> Iterator[Call]:
-    """The jumps in a term, as signs and floors of what they happen in."""
+    """The jumps in a term, each as sign or floor of the expression that triggers it."""
     return (jump for one in nodes_of(node) if (jump := jump_of(one)) is not None)
 
 
 def jump_of(node: Node) -> Call | None:
-    """The sign or floor that a node jumps with."""
+    """The jump of a node, as sign or floor of the expression that triggers it; None without one."""
     match node:
         case Call("sign" | "heaviside", arguments):
             return Call("sign", arguments)
@@ -205,7 +205,7 @@ def jump_of(node: Node) -> Call | None:
 
 
 def replaced(node: Node, values: Mapping[Node, Node]) -> Node:
-    """A tree with others in place of some of its nodes."""
+    """A tree with some of its nodes replaced, by `values`."""
     if node in values:
         return values[node]
     return with_arguments(node, tuple(replaced(part, values) for part in arguments_of(node)))
@@ -254,7 +254,7 @@ class Expression:
         return self.with_unknowns({name: Unknown(name) for name in self.unknowns})
 
     def with_unknowns(self, found: Mapping[str, Unknown]) -> Expression:
-        """The expression with others in place of its unknown constants, by name."""
+        """The expression with its unknown constants replaced, by name."""
         if not self.unknowns:
             return self
         values: dict[Node, Node] = {one: found[one.name] for one in unknowns_of(self.tree) if one.name in found}

@@ -49,7 +49,7 @@ _UNKNOWN = re.compile(rf"\{{\s*(?P<name>{_NAME})\s*(?::\s*{_ENDS}\s*)?\}}")
 
 #: An earlier sample of a channel, as ``x[-1]``, by `name` and `back`.
 EARLIER = re.compile(rf"(?P<name>{_NAME})\[-(?P<back>[1-9][0-9]?)\]")
-# One that is written as a function: x(-1), x(k-1).
+# An earlier sample that is written as a function: x(-1), x(k-1).
 _BACK = re.compile(r"\s*\(\s*\w?\s*-\s*([1-9][0-9]?)\s*\)")
 
 #: A map of this many earlier samples, at most.
@@ -112,7 +112,7 @@ def _tokens(text: str) -> list[_Token]:
 
 
 def _name(text: str, written: str, column: int) -> str:
-    """A name in the form in which Python compares them (NFKC), of an earlier sample with how many it is back."""
+    """A name in Python's normal form (NFKC), with the ``[-k]`` of an earlier sample; ExpressionError if refused."""
     written, bracket, back = written.partition("[")
     name = unicodedata.normalize("NFKC", written)
     if not written.isidentifier() or not re.fullmatch(_NAME, name):
@@ -168,7 +168,7 @@ class _Parser:
         return node
 
     def misplaced(self) -> str:
-        """What is wrong with a token where an operator, or the end, should be."""
+        """Message about a token where an operator, or the end, should be."""
         token = self.next
         where = f"{_shown(token.text)} at column {token.column}"
         if token.text == ")":
@@ -187,7 +187,7 @@ class _Parser:
         return node
 
     def operation(self, least: int = 0) -> Node:
-        """Values and operators between them that bind at least so strongly; comparisons bind less than all."""
+        """Values and the operators between them that bind at least as strongly as `least`; comparisons bind weakest."""
         left = self.signed()
         while (op := self.next).kind == "mark" and OPERATORS.get(op.text, -1) >= least:
             if op.text in COMPARISONS and is_comparison(left):

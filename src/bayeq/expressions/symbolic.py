@@ -114,7 +114,7 @@ _INVISIBLE_TIMES = '<mo rspace="0.17em">&#x2062;</mo>'
 
 
 def mathml(expression: Expression, names: Mapping[str, str] | None = None, factor: bool = False) -> str:
-    """The expression in presentation MathML, one ``mrow``; a `factor` behind a coefficient has brackets where it must.
+    """The expression in presentation MathML, one ``mrow``; a `factor` after a coefficient gets brackets if needed.
 
     `names` has MathML of symbols that are not written by their names, such as ``symbol_mathml("x", dots=1)`` of v.
 
@@ -161,7 +161,7 @@ def step_mathml(name: str) -> str:
 
 
 def step_latex(name: str) -> str:
-    r"""The same in LaTeX.
+    r"""A channel of a map at its sample, in LaTeX.
 
     >>> step_latex("x[+1]"), step_latex("x_a")
     ('x_{k+1}', 'x_{a,k}')
@@ -190,13 +190,13 @@ def number_mathml(text: str) -> str:
 
 
 def _set(node: Node, names: Mapping[str, str], least: int) -> str:
-    """A node, in brackets where it binds less than `least`."""
+    """MathML of a node, in brackets if it binds less than `least`."""
     text, strength = _bare(node, names)
     return f"<mrow><mo>(</mo>{text}<mo>)</mo></mrow>" if strength < least else text
 
 
 def _bare(node: Node, names: Mapping[str, str]) -> tuple[str, int]:
-    """A node and how strongly it binds."""
+    """MathML of a node, and how strongly it binds."""
     match node:
         case Number(value):
             return number_mathml(f"{value:.6g}" if isinstance(value, float) else str(value)), _ATOM
@@ -225,7 +225,7 @@ def _bare(node: Node, names: Mapping[str, str]) -> tuple[str, int]:
 
 
 def _one(text: str) -> str:
-    """Several elements as one; a single one as it is."""
+    """Several elements in one ``mrow``; a single one stays as it is."""
     single = text.startswith(("<mi>", "<mn>")) and text.count("<") == 2
     return text if single else f"<mrow>{text}</mrow>"
 

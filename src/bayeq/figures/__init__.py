@@ -1,6 +1,6 @@
 """Figures: answers and plain arrays in, matplotlib figures and axes out.
 
-style      the look of all figures, how they are written, and what all pictures of an answer have in common
+style      style and writing of all figures, and functions that all pictures of an answer share
 runs       free runs, one step, phase portrait
 terms      probabilities, coefficients, correlation of terms; coefficients over many files
 forces     restoring forces

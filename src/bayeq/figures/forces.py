@@ -1,6 +1,6 @@
-"""Restoring forces (Masri and Caughey 1979): what a record and an equation say of them, over one state and over two.
+"""Restoring forces (Masri and Caughey 1979), measured and discovered, over one state and over two.
 
-With unit mass, x'' + f(x, x') = what drives the motion: f is the driving terms less the acceleration.
+With unit mass, x'' + f(x, x') = driving terms: f is the driving terms less the acceleration.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 FORCE = "restoring force per mass"
 
-# Places along the curve; rings and rays of the surface, which more points would hide.
+# Points along the curve; rings and rays of the surface; most samples drawn over it, which more would hide.
 PLACES = 400
 RINGS, RAYS = 24, 72
 POINTS = 1500
@@ -51,7 +51,7 @@ def _measured(equation: style.EquationLike, rows: MotionRows, of: Iterable[str])
 
 
 def _discovered(equation: style.EquationLike, columns: Mapping[str, Floats]) -> tuple[Floats, Floats]:
-    """The force that the equation has found, its intercept in it, and its standard deviation at n places, (n,) each."""
+    """The discovered force, intercept included, and its standard deviation at n places, (n,) each."""
     p, own = equation.shown_posterior, _own(equation, columns)
     D = evaluate_terms([*compress(equation.terms, own)], columns)
     # terms of other variables stay at their means
@@ -71,8 +71,7 @@ def restoring_force_curve(
 ) -> Axes:
     """The force of the spring over the displacement, measured and discovered; or that of the damper over the velocity.
 
-    What was measured is the acceleration of each row less the equation's terms of other variables, with the other sign:
-    per unit of mass.
+    The measured force, per unit of mass, is the equation's terms of other variables less the acceleration, in each row.
 
     Parameters
     ----------
@@ -90,7 +89,7 @@ def restoring_force_curve(
     Returns
     -------
     matplotlib.axes.Axes
-        Those that were drawn on.
+        The axes that were drawn on.
 
     Raises
     ------
@@ -127,8 +126,8 @@ def restoring_force_curve(
 def restoring_force_surface(eq: style.Answer, record: Record, ax: Any = None, *, target: str | None = None) -> Axes:
     """The restoring force over displacement and velocity, measured and discovered (Masri and Caughey 1979).
 
-    What was measured is the acceleration of each row less the equation's terms of other variables (force, other
-    coordinates), with the other sign: per unit of mass.
+    The measured force, per unit of mass, is the equation's terms of other variables (force, other coordinates) less the
+    acceleration, in each row.
 
     Parameters
     ----------
@@ -183,7 +182,7 @@ def restoring_force_surface(eq: style.Answer, record: Record, ax: Any = None, *,
     ax.set_zlabel(style.label_of(equation.target, equation.units, FORCE), labelpad=-1)
     ax.tick_params(pad=-2)
     ax.locator_params(nbins=5)
-    # from the low side of the slope: from the high one the surface is seen on edge
+    # seen from the low side of the slope: from the high side the surface is seen edge-on
     ax.view_init(elev=28.0, azim=-122.0 if np.polyfit(x, force, 1)[0] >= 0.0 else -58.0)
     style.titled(ax, eq, equation.target)
     ax.legend(loc="upper right", fontsize=7, markerscale=3.0)
@@ -191,7 +190,7 @@ def restoring_force_surface(eq: style.Answer, record: Record, ax: Any = None, *,
 
 
 def _ellipse(x: Floats, v: Floats) -> tuple[Floats, Floats]:
-    """Rings and rays of the ellipse that motion fills, (RINGS, RAYS) each."""
+    """Grid of displacement and velocity on the ellipse that the motion fills, (RINGS, RAYS) each."""
     angle = np.linspace(0.0, 2.0 * np.pi, RAYS)
     radius = np.linspace(0.0, 1.0, RINGS)[:, None]
     middle = [0.5 * float(one.min() + one.max()) for one in (x, v)]

@@ -16,20 +16,20 @@ from bayeq.states.sensors import bridged
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# Segments of a spectrum, which overlap by half.
+# Number of segments of a spectrum, which overlap by half.
 SEGMENTS = 8
 
-# Those of a frequency response: fewer, as a resonance needs long ones; of a long record the root of the rows over this.
+# Segments of a frequency response: fewer, as a resonance needs long ones; in long records sqrt(n/ROWS_PER_SEGMENT).
 LEAST_SEGMENTS, ROWS_PER_SEGMENT = 5, 160
 LEAST_ROWS = 32
 
-# Spectra end at this multiple of the last frequency at which the run is above what it does not explain.
+# Spectra end at this multiple of the last frequency at which the run is above the residual.
 TAIL = 2.0
 
 # Frequencies at which the input has less than this share of its largest power are not drawn: nothing is excited there.
 DRIVEN = 1e-3
 
-# Where less than this share of the motion follows the input (coherence), what is measured is drawn faint.
+# The measured response is drawn faint where its coherence with the input is below this.
 COHERENT = 0.5
 
 
@@ -104,7 +104,7 @@ def spectra(eq: style.Answer, record: Record, ax: Any = None, *, channel: str | 
         ax.semilogy(f, density.real, **look)
         densities.append(density.real)
     whole, run_s, left = densities
-    above_noise = np.flatnonzero(run_s > left)  # beyond, the run is below what is left: a tail that nothing tells
+    above_noise = np.flatnonzero(run_s > left)  # beyond, the run is below the residual
     last = TAIL * float(f[above_noise[-1]]) if len(above_noise) else fs
     ax.set_xlim(0.0, min(last, fs / 2.0))
     highest, least = float(whole.max()), float(np.minimum(whole, left)[f <= last].min())
@@ -122,8 +122,8 @@ def frequency_response(
 ) -> tuple[Axes, Axes]:
     """Magnitude and phase of the response of a state to an input, measured and of the free run (H1 estimate, Welch).
 
-    Of a displacement to a force it is the receptance, of a velocity the mobility, of a motion to one of the ground the
-    transmissibility. That of a nonlinear system belongs to the level of the record's excitation.
+    For a force, it is the receptance of a displacement and the mobility of a velocity; for a motion of the ground, the
+    transmissibility. For a nonlinear system it holds at the level of the record's excitation.
 
     Parameters
     ----------
@@ -139,15 +139,15 @@ def frequency_response(
     Returns
     -------
     pair of matplotlib.axes.Axes
-        Of the frequencies that the input excites; faint where the motion does not follow it (coherence below 0.5). A
-        figure of its own has the coherence below.
+        Magnitude and phase at the frequencies that the input excites; faint where the coherence is below 0.5. A new
+        figure has the coherence in a third panel.
 
     Raises
     ------
     InputError
         As `Equations.simulate`; no input, no measured state, sampling that is not even, a free run that blew up.
     UnknownNameError
-        Names that are not there.
+        No such input or measured state.
     MissingExtraError
         matplotlib is not installed.
     """
@@ -172,7 +172,7 @@ def frequency_response(
         response = np.where(driven, cross / power, np.nan)
         # from -270 to 90 degrees: that of an oscillator does not jump between 180 and -180
         phase = (np.degrees(np.angle(response)) + 270.0) % 360.0 - 270.0
-        if look["label"] == "measured":  # what does not follow the input is there, but faint
+        if look["label"] == "measured":  # incoherent parts are drawn faint
             faint = MEASURED | {"color": style.PALE, "label": f"coherence below {COHERENT:g}"}
             upper.plot(f, np.abs(response), **faint)
             lower.plot(f, np.where(coherence < COHERENT, phase, np.nan), ".", color=style.GREY, markersize=2.5)

@@ -1,4 +1,4 @@
-"""Motion and what an equation makes of it: free runs, one step, both against each other, and the phase portrait."""
+"""Measured motion against equations: free runs, one step, measured over predicted, and the phase portrait."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Curve = tuple[Floats, Floats | None, Floats | None]
 
 BAND: dict[str, Any] = {"color": style.BLUE, "alpha": 0.28, "linewidth": 0.0}
 
-# What was measured is a wide grey line, which shows on both sides of a run that agrees with it.
+# Measured samples are a wide grey line, which shows on both sides of a run that agrees with it.
 MEASURED: dict[str, Any] = {"color": "#A8A8A8", "linewidth": 2.6, "label": "measured"}
 DRAWN: dict[str, Any] = {"color": style.BLUE, "linewidth": 0.9}
 
@@ -36,7 +36,7 @@ LAST = 0.2
 
 
 def _compare(ax: Axes, time: Floats, measured: Floats | None, curve: Curve, label: str, of: str = "measured") -> None:
-    """A curve with its band over what was measured, or estimated, which sets the limits: a run may go far away."""
+    """Draw a curve and its band over measured or estimated samples, which set the limits: a run may diverge."""
     every = style.thinned(len(time))
     known = curve[0] if measured is None else measured
     known = known[np.isfinite(known)]
@@ -51,7 +51,7 @@ def _compare(ax: Axes, time: Floats, measured: Floats | None, curve: Curve, labe
 
 
 def _band(ax: Axes, time: Floats, ends: Sequence[Floats | None], every: slice, label: str | None = None) -> None:
-    """A band; what lies far outside the panel, or nowhere, is drawn to beyond its edge."""
+    """Draw a band; ends far outside the panel, or infinite, are clipped beyond its edge."""
     bottom, top = ax.get_ylim()
     room = 10.0 * (top - bottom)
     low, high = (None if end is None else np.clip(end[every], bottom - room, top + room) for end in ends)
@@ -60,7 +60,7 @@ def _band(ax: Axes, time: Floats, ends: Sequence[Floats | None], every: slice, l
 
 
 def _residual(ax: Axes, time: Floats, measured: Floats, curve: Curve, label: str, of: str = "measured") -> None:
-    """What was measured less a curve, and its band."""
+    """Draw the residual, samples less a curve, and its band."""
     every = style.thinned(len(time))
     mean, *ends = curve
     residual = measured - mean
@@ -77,7 +77,7 @@ def _curve(run: style.Run, name: str) -> Curve:
 
 
 def _state(ax: Axes, run: style.Run, name: str) -> None:
-    """One state of a free run: what was measured, the run, its band, and where it blew up."""
+    """Draw a state of a free run: samples, run, band, and the time of a blow-up."""
     _compare(ax, run.time, run.measured.get(name), _curve(run, name), "free run")
     ax.set_ylabel(style.label_of(name, run.units))
     _mark_blow_up(ax, run)
@@ -89,7 +89,7 @@ def _mark_blow_up(ax: Axes, run: style.Run) -> None:
 
 
 def draw_states(run: style.Run, ax: Any) -> list[Axes]:
-    """A free run against what was measured, a state in each of the axes that are given, or of a figure of pyplot's."""
+    """Draw a free run against the samples, a state in each of the given axes, or in those of a pyplot figure."""
     with style.style():
         axes = style.axes_for(ax, [STATE] * len(run.mean), style.QUICK, pyplot=True)
         for one, name in zip(axes, run.mean, strict=True):
@@ -101,7 +101,7 @@ def draw_states(run: style.Run, ax: Any) -> list[Axes]:
 
 @style.picture
 def draw_forecasts(runs: Sequence[tuple[str, style.Run]], time: str = "") -> Figure:
-    """Free runs under each other, with titles, which may be empty, and a label of time; a panel for each state."""
+    """Draw free runs one below the other, with titles (may be empty) and a time label; a panel for each state."""
     heights = [height for _, run in runs for name in run.mean for height in LOW[: 1 + (name in run.measured)]]
     titles = sum(bool(title) for title, _ in runs)
     whole = 7.0 + sum(heights) + 8.0 * len(runs) + 6.0 * titles
@@ -136,7 +136,7 @@ def free_run(
     rows: int | None = None,
     draws: int = 200,
 ) -> tuple[Axes, Axes]:
-    """A free run of the equations against what was measured, with the band of the posterior's runs and the residual.
+    """A free run of the equations against a measured state, with the band of the posterior's runs and the residual.
 
     Parameters
     ----------
@@ -253,7 +253,7 @@ def one_step(
 
 @style.picture
 def measured_against_predicted(eq: style.Answer, record: Record, ax: Any = None, *, target: str | None = None) -> Axes:
-    """The target of an equation, measured or estimated, over what the equation gives at the states of the same row.
+    """The target of an equation, measured or estimated, over its prediction from the states of the same row.
 
     Parameters
     ----------
@@ -324,21 +324,21 @@ def phase_portrait(
     ax : matplotlib.axes.Axes, optional
         By default those of a new figure.
     states : (str, str), optional
-        Across and up; by default the first two: displacement and velocity.
+        Horizontal and vertical axis; by default the first two states, displacement and velocity.
     start, rows : int, optional
         First row of the free run, and how many; by default those held out, or the last fifth.
 
     Returns
     -------
     matplotlib.axes.Axes
-        Those that were drawn on.
+        The axes that were drawn on.
 
     Raises
     ------
     InputError
         As `Equations.simulate`; a system of one state.
     UnknownNameError
-        States that are none of the equations'.
+        States that the equations do not have.
     MissingExtraError
         matplotlib is not installed.
     """

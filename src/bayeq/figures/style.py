@@ -1,4 +1,4 @@
-"""The look of all figures, and how figures and tables are written: for print, in colour or grey, the same bytes."""
+"""Style of all figures, and writing of figures and tables: for print, in colour or grey, reproducible in each byte."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ QUICK = 160.0
 MM_PER_INCH = 25.4
 DPI = 300
 
-# What matplotlib would write into a file besides the figure: dates and its own name.
+# Metadata that matplotlib would write into a file (dates, its own name), left out.
 UNSIGNED: dict[str, dict[str, Any]] = {
     "png": {"Software": None},
     "svg": {"Date": None, "Creator": None, "Format": None, "Type": None},
@@ -92,7 +92,7 @@ RC: dict[Any, Any] = {
 def require_matplotlib() -> None:
     """Check that figures can be drawn, before anything is computed for them; MissingExtraError without matplotlib."""
     logger = logging.getLogger("matplotlib")
-    if not logger.level:  # its remarks, as on a home that cannot be written, are not about the figure
+    if not logger.level:  # its messages, such as on a read-only home, do not concern the figure
         logger.setLevel(logging.ERROR)
     with needing("matplotlib", "plot", "drawing figures"):
         import matplotlib.figure  # noqa: F401
@@ -111,7 +111,7 @@ def style() -> Iterator[None]:
 
 
 def picture(draw: Callable[P, T]) -> Callable[P, T]:
-    """A function that draws, made to draw in this `style` unless its argument ``ax`` brings axes of the caller's."""
+    """Decorator of drawing functions: they draw in this `style`, unless the caller gives axes by ``ax``."""
     arguments = signature(draw)
 
     @wraps(draw)
@@ -129,7 +129,7 @@ def picture(draw: Callable[P, T]) -> Callable[P, T]:
 
 
 def new_figure(width: float, height: float, *, pyplot: bool = False, **options: Any) -> Figure:
-    """An empty figure, of a size in mm; one of pyplot's is shown by notebooks."""
+    """An empty figure of a size in mm; notebooks show one of `pyplot` by themselves."""
     size = (width / MM_PER_INCH, height / MM_PER_INCH)
     if pyplot:
         from matplotlib.pyplot import figure
@@ -149,13 +149,13 @@ def new_panels(
 
 
 def labelled(axes: Iterable[Axes]) -> list[Any]:
-    """What a legend of some axes explains, each label once."""
+    """Legend handles of some axes, each label once."""
     handles = (artist for ax in axes for artist in ax.get_legend_handles_labels()[0])
     return list({artist.get_label(): artist for artist in handles}.values())
 
 
 def log_ticks(axis: Axis, text: Callable[[float], str] = "{:g}".format) -> None:
-    """Ticks of a logarithmic axis that can be read over many decades and over half of one; its limits have been set."""
+    """Set readable ticks of a logarithmic axis, over many decades or half of one; its limits must be set before."""
     from matplotlib.ticker import FuncFormatter, Locator, LogLocator, MaxNLocator, NullFormatter
 
     low, high = axis.get_view_interval()
@@ -216,9 +216,9 @@ def joined(column: str, results: Iterable[tuple[str, Any]]) -> pd.DataFrame:
 
 
 def mathtext(expression: str, order: tuple[str, ...] = ()) -> str:
-    r"""A term or a coefficient, as `bayeq.expressions.parse` reads it, as matplotlib sets it.
+    r"""Convert a term or a coefficient, in the syntax of `bayeq.expressions.parse`, to matplotlib mathtext.
 
-    Factors stand in the order of these names; otherwise alphabetical.
+    Factors are in the order of the names in `order`, others alphabetical.
 
     >>> print(mathtext("x**2*v", order=("x", "v")), mathtext("v*abs(x)"), mathtext("sign(v)"), mathtext("-cF/m"))
     $x^{2} v$ $v\,|x|$ $\mathrm{sgn}(v)$ $-c_{F}/m$
@@ -240,15 +240,15 @@ def mathtext(expression: str, order: tuple[str, ...] = ()) -> str:
 
 
 def plain(text: str) -> str:
-    """Text that matplotlib sets as it stands."""
+    """Text with ``$`` escaped, which matplotlib prints literally."""
     return text.replace("$", r"\$")
 
 
 def term_label(term: str, dictionary: Sequence[str] = (), longest: int = 18) -> str:
-    """A term as matplotlib sets it; as it stands where it is a column's name and no expression; shortened if long.
+    """A term in mathtext; plain text if it is no expression (the name of a column); shortened if long.
 
-    Factors stand in the order in which the dictionary, all terms, brings their names. From `longest` characters on a
-    term is shortened, so that its label fits.
+    Factors are in the order in which names first appear in the dictionary, all terms. A term of more than `longest`
+    characters is shortened, so that its label fits.
     """
     short = shortened(term, longest)
     order = tuple(dict.fromkeys(re.findall(r"[^\W\d]\w*", " ".join(dictionary))))
@@ -280,21 +280,21 @@ def equation_of(eq: Answer, target: str | None) -> EquationLike:
 
 
 def named(kind: str, name: str | None, known: Collection[str]) -> str:
-    """The name that is asked for, by default the first of those known; UnknownNameError of another one."""
+    """The given name, by default the first known one; UnknownNameError if it is not known."""
     if name is not None and name not in known:
         raise UnknownNameError(kind, name, list(known))
     return next(iter(known)) if name is None else name
 
 
 def channel_of(run: Run, channel: str | None) -> str:
-    """A measured state of a free run, by default the first; InputError where none is, UnknownNameError of another."""
+    """A measured state of a free run, by default the first; InputError without any, UnknownNameError for another."""
     if not run.measured:
         raise InputError("no state of the equations is measured: there is nothing to compare the free run with")
     return named("measured state", channel, run.measured)
 
 
 def likely_terms(equation: EquationLike) -> list[int]:
-    """Terms shown or included, then the likeliest of the others."""
+    """Numbers of the terms shown or included, then of the likeliest others; at most `MOST_TERMS`."""
     pip = equation.posterior.pip
     chosen = equation.shown_posterior.support | equation.posterior.support
     order = np.argsort(-pip, kind="stable").tolist()
@@ -339,12 +339,12 @@ def bracketed(unit: str) -> str:
 
 
 def given_as(eq: Any, name: str) -> str:
-    """What a channel is called in a picture: a derivative that no sensor gave is not called measured."""
+    """Word for a channel in a picture: "estimated" for a derivative without a sensor, else "measured"."""
     return "estimated" if name in eq.data.estimated else "measured"
 
 
 def label_of(name: str, units: Mapping[str, str], what: str = "{}") -> str:
-    """Label of an axis: what is shown of a channel, and its unit where that is known."""
+    """Label of an axis: `what` with the name of a channel, and its unit if known."""
     unit = units.get(name, "")
     return plain(what.format(shortened(name)) + (f" [{unit_text(unit)}]" if unit else ""))
 

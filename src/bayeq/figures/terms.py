@@ -1,4 +1,4 @@
-"""Terms of an equation: probabilities, coefficients with intervals, how alike terms are; drift over files."""
+"""Terms of an equation: probabilities, coefficients with intervals, correlations; drift over files."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# A term beside the least that are drawn, so that the map is not of a single one.
+# Fewest terms of a correlation map, filled up with the likeliest others.
 LEAST_TERMS = 6
 
-# Heights in a quick look: of a bar, and of what is around the bars [mm].
+# Heights in a quick look: of a bar, and of title and labels around the bars [mm].
 BAR, AROUND_BARS = 6.0, 20.0
 
 
@@ -124,7 +124,7 @@ def coefficient_forest(
     eq : Equations
         From `discover` or `load`.
     record : Record, optional
-        Of a simulated record, which knows its law, the true coefficients are marked.
+        The true coefficients are marked if it is a simulated record, which knows its law.
     ax : matplotlib.axes.Axes, optional
         By default those of a new figure.
     target : str, optional
@@ -259,7 +259,7 @@ def _correlation(columns: list[NDArray[np.float64]]) -> NDArray[np.float64]:
     return np.nan_to_num(np.atleast_2d(found))
 
 
-# Height of the panel of a term, and of what is around all panels [mm].
+# Height of the panel of a term, and of legend and labels around all panels [mm].
 PANEL, AROUND = 35.0, 30.0
 
 # Verdicts by mark and colour, which differ in lightness too.
@@ -270,10 +270,10 @@ MARKS: dict[str, dict[str, Any]] = {
     "none": {"marker": "x", "color": style.RED},
 }
 
-# Panels at most, of the terms that are in most files.
+# Maximum number of panels; terms found in most files come first.
 MOST = 12
 
-# Names of files below the axis, without folder and suffix: as many as can be read, of at most this many characters.
+# Names of files below the axis, without folder and suffix: their maximum number, and maximum length.
 NAMES, LONGEST = 24, 16
 
 

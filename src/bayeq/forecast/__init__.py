@@ -1,1 +1,1 @@
-"""Free runs of equations of motion: their bands, their errors over records, and what is written of them."""
+"""Free runs of equations of motion: bands, errors over records, tables and figures."""

@@ -19,9 +19,9 @@ from bayeq.inference.posterior import Constant, Posterior
 from bayeq.numerics.rk4 import Drive, local_errors
 from bayeq.states import Chain, Motion, Roles, rates
 
-# A step is halved until this share (of the intervals) errs by less than TOLERANCE of the states' spread in an interval,
-# at most MOST_SUBSTEPS times. Of laws that jump it is the shortest: they lose the order of Runge-Kutta's method, and a
-# run errs by what its steps do at every jump.
+# The step is halved until the local error is below TOLERANCE of the states' spread in this SHARE of the intervals, but
+# not below 1/MOST_SUBSTEPS of the sampling interval. Laws that jump use that shortest step: at a jump the Runge-Kutta
+# method loses its order, and the error depends on the step.
 SHARE = 0.75
 TOLERANCE = 1e-6
 MOST_SUBSTEPS = 16
@@ -37,7 +37,7 @@ class Law(NamedTuple):
 
 
 def solved_laws(laws: Sequence[Law]) -> list[Law]:
-    """The same laws, or, where terms hold highest derivatives, each with one term that is solved for them."""
+    """The same laws, or, if terms hold highest derivatives, each with a single term, solved for its own one."""
     heads = [law.chain.target for law in laws]
     if not any(term.names.intersection(heads) for law in laws for term in compress(law.terms, law.posterior.support)):
         return list(laws)
@@ -59,13 +59,13 @@ def solved_laws(laws: Sequence[Law]) -> list[Law]:
 
 @dataclass(frozen=True, eq=False)
 class Dynamics:
-    """dx/dt = f(x, u; theta), of maps the next values: intercept + sum of coefficient x term for the highest."""
+    """dx/dt = f(x, u; theta), for maps the next x; a highest derivative is intercept + sum of coefficient x term."""
 
     laws: tuple[Law, ...]  # the equations
     roles: Roles  # their chains, inputs, and whether terms may use t, the time [s]: the last of what drives a run
     terms: tuple[tuple[Expression, ...], ...]  # the terms that each equation includes
     intercepts: tuple[bool, ...]  # equations that have an intercept
-    # of states, inputs, t (if it is used) and parameters; its outputs are the states' derivatives, then the targets.
+    # Function of states, inputs, t (if used) and parameters; its outputs are the states' derivatives, then the targets.
     # The parameters are, equation by equation, the intercept (if there is one) and the coefficients of the terms.
     tape: Tape
 
@@ -73,9 +73,9 @@ class Dynamics:
     def of(
         cls, laws: Sequence[Law], roles: Roles, intercepts: Sequence[bool] | None = None, forced: bool = False
     ) -> Dynamics:
-        """From the terms that equations, one per chain, include, and by default their intercepts.
+        """Dynamics of the included terms of equations, one per chain, and by default of their intercepts.
 
-        Where they are `forced`, each with `error_lines` has a force too; these are the last of what drives a run.
+        If `forced`, each equation with `error_lines` has a force too; these are the last drivers of a run.
         """
         kept = [tuple(compress(law.terms, law.posterior.support)) for law in laws]
         constant = (True,) * len(kept) if intercepts is None else tuple(intercepts)
@@ -105,7 +105,7 @@ class Dynamics:
 
     @classmethod
     def on(cls, motion: Motion, terms: Sequence[Expression], posteriors: Sequence[Posterior]) -> Dynamics:
-        """From the posterior of each equation of some motion, all of the same candidate terms."""
+        """Dynamics from the posterior of each equation of a motion, all with the same candidate terms."""
         parts = zip(motion.roles.chains, posteriors, motion.unit_gains, strict=True)
         laws = [Law(chain, terms, posterior, gains.tolist()) for chain, posterior, gains in parts]
         return cls.of(laws, motion.roles)
@@ -121,7 +121,7 @@ class Dynamics:
         return sum(map(len, self.terms)) + sum(self.intercepts)
 
     def blocks(self) -> Iterator[slice]:
-        """Where the parameters of each equation stand."""
+        """Slices of the parameters of each equation."""
         start = 0
         for members, constant in zip(self.terms, self.intercepts, strict=True):
             end = start + constant + len(members)
@@ -173,9 +173,9 @@ def normal_draws(mean: Floats, covariance: Floats, count: int, rng: np.random.Ge
 
 
 def finest_step(dynamics: Dynamics, parameters: Floats, states: Floats, drive: Drive) -> float:
-    """A step [s] at which integration errs little: the median sampling interval over 1, 2, 4, 8 or 16; 0 of maps.
+    """Step [s] at which integration is accurate: the median sampling interval over 1, 2, 4, 8 or 16; 0 for maps.
 
-    It is tried at states (n, d), where these are finite, with parameters (p,) and the drive of these rows.
+    Local errors are evaluated at those states (n, d) that are finite, with parameters (p,) and the drive of these rows.
     """
     if dynamics.roles.discrete:
         return 0.0

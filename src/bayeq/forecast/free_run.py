@@ -1,4 +1,4 @@
-"""Free runs of dynamics: where one starts, one with a step that suits it, the band of many, and windows of records."""
+"""Free runs of dynamics: initial states, runs with a suitable step, bands of many runs, and windows of records."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-# More records do not fit on a page.
+# Most records on a page.
 MOST_DRAWN = 6
 
 
 @dataclass(frozen=True, eq=False)
 class Forecast:
-    """A free run, and the band of runs with coefficients from their posterior and random forces for what is left out.
+    """A free run, and the band of runs with coefficients from their posterior and random forces for the model error.
 
     Attributes
     ----------
     time : (n,) array
-        [s].
+        Times of the rows [s].
     mean : mapping of str to (n,) array
         Each state along the run with the posterior means of the coefficients; NaN from `blew_up_at` on.
     low, high : mapping of str to (n,) array
@@ -132,7 +132,7 @@ def forecast(
     draws = whole_number("draws", draws, 0)
     part = inputs_filled(record.slice(window.start, window.stop), roles.inputs)
     part.require_finite(roles.inputs)
-    # by what is known of the inputs outside the window too, unless it had to be filled in
+    # inputs outside the window are used too, unless inputs had to be filled in
     whole = all(np.isfinite(record[name]).all() for name in roles.inputs)
     source = record if whole else part
     inputs = between(roles, require_time(source, "a free run"), source.channels, interpolation)
@@ -178,7 +178,7 @@ def _beginning(
     window: slice,
     initial: Mapping[str, float] | None,
 ) -> tuple[Floats, Floats, Floats]:
-    """Initial state, and the range in which runs go on."""
+    """Initial state, and lowest and highest state within which runs continue, (d,) each."""
     if initial is not None and not hasattr(initial, "items"):
         names = ", ".join(f"{name!r}: ..." for name in dynamics.states)
         raise InputError(f"initial: states go by their names, initial={{{names}}}")
@@ -190,7 +190,7 @@ def _beginning(
             raise InputError(f"initial: {name} must be finite, not {value!r}")
     needed = [name for name in dynamics.states if name not in given]
     rows = None
-    # where all channels are measured that the states come from
+    # if all channels are there that the states are estimated from
     if needed and all(name in record.channels for name in dynamics.roles.measured):
         smooth, sensors, interpolation = how
         motion = estimate_motion([record], dynamics.roles, smooth, sensors=sensors)
@@ -229,13 +229,13 @@ def write_forecasts(file: Path, runs: Sequence[tuple[str, Forecast]]) -> None:
         write_output(file, lambda: joined("record", runs), lambda: draw_forecasts(runs[:MOST_DRAWN]))
 
 
-# A run has blown up where a state is further from its measured range than this many times the range.
+# A run has blown up when a state leaves its measured range by more than this many times the range.
 GENEROUS = 1e3
 
-# The range of a state of which nothing is known: what can be squared.
+# Range of a state without samples: values that can be squared.
 ANYWHERE = 1e150
 
-# Bands are the runs' central share.
+# Share of the runs beyond either end of a band.
 TAIL = 0.025
 
 # Numbers held at once for the bands.
@@ -244,10 +244,10 @@ BLOCK = 4_000_000
 # A step of integration is judged on this many rows at most.
 JUDGED_ROWS = 2000
 
-# Rows at least, of a window and of the first period, which a start is fitted to.
+# Fewest rows of a window, and of the first period, to which an initial state is fitted.
 LEAST_ROWS = 8
 
-# Errors that samples, and the state read off, are taken to have, as shares of the spread of their state.
+# Assumed errors of samples, and of the state read off at the first row, as shares of the state's spread.
 SAMPLE = 0.05
 READ = 0.1
 
@@ -255,12 +255,12 @@ READ = 0.1
 MOST_STEPS = 20
 ENOUGH = 1e-6
 
-# Windows over all records.
+# Number of windows over all records together.
 WINDOWS = 12
 
 
 def state_range(states: Floats) -> tuple[Floats, Floats]:
-    """Where runs are given up: a thousand times the range of the states (n, d) on either side; nowhere if all are 0."""
+    """Limits (d,) at which runs stop: a thousand ranges of the states (n, d) beyond either end; 1e150 if all are 0."""
     low, high = np.nanmin(states, axis=0), np.nanmax(states, axis=0)
     largest = np.maximum(high - low, np.maximum(np.abs(low), np.abs(high)))
     margin = np.where(largest > 0, GENEROUS * largest, ANYWHERE)
@@ -268,9 +268,9 @@ def state_range(states: Floats) -> tuple[Floats, Floats]:
 
 
 def mean_run(dynamics: Dynamics, parameters: Floats, first: Floats, drive: Drive) -> tuple[Floats, int | None, Drive]:
-    """A free run from a state (d,) with parameters (p,): states (n, d), where it left its range, and the drive.
+    """A free run from a state (d,) with parameters (p,): states (n, d), the row where it left its range, and the drive.
 
-    States are NaN from the row on where it did so (None if nowhere); the drive has the step that the run needed.
+    States are NaN from that row on (None if it stayed inside); the drive has the step that the run needed.
     """
     n = len(drive.inputs)
     if dynamics.roles.discrete:
@@ -302,16 +302,16 @@ def typical_period(dynamics: Dynamics, pieces: Sequence[Rows]) -> float:
 
 
 def least_rows(dynamics: Dynamics) -> int:
-    """Rows of a window, at least: of a map, which may be chaotic from one sample to the next, two."""
+    """Fewest rows of a window; two for a map, which may be chaotic from one sample to the next."""
     return 2 if dynamics.roles.discrete else LEAST_ROWS
 
 
 def fitted_start(dynamics: Dynamics, parameters: Floats, rows: Rows, low: Floats, high: Floats) -> Floats:
     """The initial state (d,) with which a free run follows the first period of some rows best.
 
-    A state read off at the first row carries that row's noise, and the run keeps the error for good. So it is estimated
-    from what was measured over the first period (as output-error methods do; Ljung, System Identification, 1999,
-    section 16.3), held to the one that was read off where the samples say little, which it is if nothing is better.
+    A state read off at the first row carries that row's noise, and the run keeps the error. It is therefore estimated
+    from the samples of the first period (as output-error methods do; Ljung, System Identification, 1999, section 16.3),
+    with the state that was read off as a weak prior; that state is returned if no other one fits better.
     Runs go on from `low` to `high`, (d,) each; parameters are (p,).
     """
     whole = rows.stack(dynamics.states)
@@ -326,7 +326,7 @@ def fitted_start(dynamics: Dynamics, parameters: Floats, rows: Rows, low: Floats
     drive = drive.part(0, n)
     drive = drive._replace(step=finest_step(dynamics, parameters, whole[:n], drive))
     program = dynamics.program()
-    # before the first sample of a map nothing is known of earlier ones
+    # samples before the first one of a map are unknown
     back = [int(one["back"]) if (one := EARLIER.fullmatch(name)) else 0 for name in dynamics.states]
     read = np.where(np.array(back) > rows.time[0], 1.0, READ) if dynamics.roles.discrete else READ
 
@@ -367,9 +367,9 @@ def run_bands(
 ) -> tuple[Floats, Floats, int]:
     """Pointwise 95 % band of runs with different parameters (runs, p), and under different forces.
 
-    Forces (runs, M, 3) are from `drawn_sines`, for those that `dynamics` has; the rest is as for `mean_run`, but that
-    the step is taken as it is. Returned are low and high, (n, d) each, infinite where more than 2.5 % of the runs have
-    left the range, and how many did at some time.
+    `forces` are arrays (runs, M, 3) from `drawn_sines`, one for each force of `dynamics`; the rest is as for
+    `mean_run`, but with the step of `drive`. Returns low and high, (n, d) each, infinite where more than 2.5 % of the
+    runs have left the range, and the number of runs that left it.
     """
     runs, n, d = len(parameters), len(drive.inputs), len(first)
     current, stopped = np.tile(first, (runs, 1)), np.zeros(runs, dtype=np.uint32)
@@ -394,8 +394,8 @@ def run_bands(
 def drawn_sines(own: Projected, count: int, rng: np.random.Generator) -> Floats:
     """Random forces of the size and spectrum of an equation's error, sums of sines (Shinozuka and Jan 1972).
 
-    Of each force amplitude, angular frequency [rad/s] and phase of M sines, (count, M, 3), with frequencies of its own:
-    a resonance could fall between the same few lines of all runs.
+    Returns amplitude, angular frequency [rad/s] and phase of the M sines of each force, (count, M, 3). Each force has
+    its own frequencies: otherwise a resonance could fall between the same few lines in all runs.
     """
     size, first = len(own.error_lines), np.arange(len(own.error_lines))
     levels = (first + rng.random((count, size))) / size
@@ -405,7 +405,7 @@ def drawn_sines(own: Projected, count: int, rng: np.random.Generator) -> Floats:
 
 
 def pushed(drive: Drive, time: Floats, forces: Sequence[Floats]) -> Drive:
-    """What drives a run, and behind it forces, (M, 3) each, at the times [s] of its samples."""
+    """The drive of a run with forces, (M, 3) each, appended to its inputs, at the times [s] of its samples."""
     if not forces:
         return drive
     parts = [np.cos(time[:, None] * turn - phase) @ size for size, turn, phase in (sines.T for sines in forces)]
@@ -416,9 +416,9 @@ def pushed(drive: Drive, time: Floats, forces: Sequence[Floats]) -> Drive:
 def correlation_time(dynamics: Dynamics, pieces: Sequence[Rows], period: float) -> float:
     """First lag [s] at which the autocorrelation of chaotic motion falls to 1/e; infinite for other motion.
 
-    Chaotic is what nothing drives and what does not come back: within three typical periods the autocorrelation, the
-    mean over the states of the longest record, does not rise above 1/e again, as that of an oscillation does; motion
-    that dies out at once is taken for it. The time is that of a window's least rows or more.
+    Motion counts as chaotic if nothing drives it, and its autocorrelation (mean over the states of the longest record)
+    does not rise above 1/e again within three typical periods, as that of an oscillation does; motion that dies out at
+    once counts too. The result is at least the time of the fewest rows of a window.
     """
     rows = max(pieces, key=lambda one: one.n)
     if dynamics.roles.drivers or not math.isfinite(period):
@@ -436,10 +436,10 @@ def correlation_time(dynamics: Dynamics, pieces: Sequence[Rows], period: float) 
 def window_runs(
     dynamics: Dynamics, pieces: Sequence[Rows], duration: float, theta: Floats | None = None, unit: Floats | None = None
 ) -> list[tuple[Floats, Floats]]:
-    """Free runs over windows of some seconds, and the states that they are to follow, in some unit.
+    """Free runs over windows of `duration` [s], and the states of the rows there, (m, d) each, in units of `unit`.
 
-    Each starts at the states of its first row. Windows are at most half a record, and overlap where it is short; there
-    is none where no record is long enough. Steps of time may be uneven. By default the parameters `theta` (p,) are
+    Each starts at the states of its first row. Windows are at most half a record, and overlap in a short one; there are
+    none if no record is long enough. Steps of time may be uneven. By default the parameters `theta` (p,) are
     their posterior means, and the unit of each state (d,) its spread over these rows.
     """
     theta = dynamics.mean if theta is None else theta

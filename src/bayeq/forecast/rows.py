@@ -1,4 +1,4 @@
-"""Rows of records with everything known about them: what free runs start from, are driven by and are judged by."""
+"""Rows of records with the data of free runs: initial states, drivers, and samples to compare them with."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from bayeq.numerics.rk4 import Drive, Interpolation, interpolant, with_time
 from bayeq.records import Record
 from bayeq.states import ChainSmoothing, Motion, MotionRows, Roles
 
-# How inputs go between samples: all alike, or each by its name, those without a name as "cubic".
+# Interpolation of inputs between samples: the same for all, or by name, "cubic" for the others.
 Courses = Interpolation | Mapping[str, Interpolation]
 
 
 @dataclass(frozen=True, eq=False)
 class Rows(MotionRows):
-    """Rows of one record with time; `columns` have targets as they were measured, where they were."""
+    """Rows of one record with time; targets in `columns` are the measured ones, where there are any."""
 
     time: Floats
     # (n, m, 4), inputs, and t where it is used, between the rows, from `bayeq.numerics.rk4.interpolant` over the whole
@@ -36,7 +36,7 @@ class Rows(MotionRows):
         return Rows(**vars(super().part(rows)), driven=self.driven[rows], estimated=self.estimated)
 
     def drive(self, low: Floats, high: Floats) -> Drive:
-        """What drives a run over these rows, within a range of the states."""
+        """The drive of a run over these rows, within limits of the states, (d,) each."""
         return Drive.over(self.time, self.driven, low, high)
 
     def nearest(self, time: float) -> int:
@@ -65,9 +65,9 @@ def rows_of(motion: Motion, purpose: str, interpolation: Courses | None = None) 
 
 
 def divided(motion: Motion, records: Sequence[Rows]) -> tuple[list[Rows], list[Rows]]:
-    """Training rows of each record, and the rows held out of each that has some; without ends that lack an input.
+    """Training rows of each record, and held-out rows of each that has some; without ends that lack an input.
 
-    As a lag that was taken out leaves them: what is put there in its place drives no run.
+    A lag that was removed leaves such ends; the values that fill them must not drive a run.
     """
     train, held_out = [], []
     for rows, cut in zip(records, motion.cuts, strict=True):
@@ -81,7 +81,7 @@ def divided(motion: Motion, records: Sequence[Rows]) -> tuple[list[Rows], list[R
 
 
 def between(roles: Roles, time: Floats, columns: Mapping[str, Floats], kind: Courses) -> Floats:
-    """What drives a run between samples, (n, m, 4): inputs, and t where it is used."""
+    """Interpolants of the drivers of a run between samples, (n, m, 4): inputs, and t if it is used."""
     kinds = {name: kind if isinstance(kind, str) else kind.get(name, "cubic") for name in roles.inputs}
     each = [interpolant(time, columns[name][:, None], one) for name, one in kinds.items()]
     inputs = np.concatenate([np.empty((len(time), 0, 4)), *each], axis=1)

@@ -19,28 +19,28 @@ from bayeq.states.roles import NEXT
 # A free run over fewer rows says nothing.
 LEAST_ROWS = 2
 
-# What moves less on the rows held out than this share of its motion on all rows hardly moves there.
+# A channel is still if its spread on the held-out rows is below this share of that on all rows.
 STILL = 0.05
 
 
 @dataclass(frozen=True, slots=True)
 class Scores:
-    """How well equations do on some rows.
+    """Errors of equations on some rows.
 
     Attributes
     ----------
     rows : int
-        How many.
+        Number of rows.
     one_step : mapping of str to float
         For each equation the root mean squared error of the target, given the states and inputs of each row, over the
         standard deviation of the target: the error of the equation.
     free_run : mapping of str to float
-        For each measured state the same of free runs, one per record, from the state of its first row; infinite where
-        a run blew up.
+        For each measured state the same error of free runs, one per record, from the state of its first row; infinite
+        if a run blew up.
     blew_up_at : float or None
         Time [s] at which a free run left any reasonable range.
     still : tuple of str
-        States and targets that hardly move on these rows: errors over their spread say little.
+        States and targets that hardly move on these rows, so that errors relative to their spread say little.
     """
 
     rows: int
@@ -76,7 +76,7 @@ def percent(share: float) -> str:
 
 
 def score_rows(dynamics: Dynamics, parameters: Floats, pieces: Sequence[Rows], motion: Sequence[Rows] = ()) -> Scores:
-    """Scores over all rows of records together, a free run in each; states may go as far as in `motion`, or here."""
+    """Scores over all rows of records, a free run in each; `motion` (default: these rows) sets the limits of runs."""
     runs, blew_up_at = [], None
     moving = pieces if dynamics.states else []
     limits = state_range(np.concatenate([rows.stack(dynamics.states) for rows in motion or pieces]))
@@ -100,9 +100,9 @@ def score_rows(dynamics: Dynamics, parameters: Floats, pieces: Sequence[Rows], m
 
 
 def _predicted(target: str, terms: Sequence[Expression], parameters: Floats, rows: Rows) -> tuple[Floats, Floats]:
-    """The right-hand side and the target; where that was estimated, as the smoother would show it, without the ends."""
+    """Right-hand side and target; if the target was estimated, both as the smoother shows them, without the ends."""
     values, given = predicted_target(terms, parameters, rows.columns), rows.columns[target]
-    if target.endswith(NEXT):  # which the last row does not have
+    if target.endswith(NEXT):  # the last row has no next sample
         return values[:-1], given[:-1]
     if target not in rows.estimated:
         return values, given

@@ -1,1 +1,1 @@
-"""From a Gram matrix to a posterior: the matrix, and engines, of which `engines` is the table."""
+"""From a Gram matrix to a posterior: the Gram matrix, the prior, and engines, which the table `engines` lists."""

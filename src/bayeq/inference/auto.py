@@ -1,4 +1,4 @@
-"""The default: the optimum of variational Bayes, with probabilities and spreads from model averaging."""
+"""The default engine: probabilities and coefficients by model averaging, ELBO and optimum by variational Bayes."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from bayeq.inference.prior import Prior
 from bayeq.inference.vb import spike_slab_vb
 from bayeq.numerics.settings import INFERENCE
 
-# The ascent of VB starts from this many of the best models, and from those near them. It does not start from the RVM as
-# well: in 3,680 fits of the four systems of the study, raw and smoothed, that never led to a higher ELBO.
+# The ascent of VB starts from this many of the best models, and from their neighbours. It does not start from the RVM
+# as well: in 3,680 fits of the four systems of the study, raw and smoothed, that never led to a higher ELBO.
 VB_STARTS = 3
 
-# Samples of chains where too much is left out of a listing; fewer for many terms.
+# Samples per chain where the listed models leave out too much: SAMPLED_TERMS / P, but at least 500 and at most SAMPLES.
 SAMPLES = 5000
 SAMPLED_TERMS = 2_000_000
 
 
 def spike_slab_auto(gram: GramLike, prior: Prior | None = None, *, tolerance: float = 5e-3, seed: int = 0) -> Posterior:
-    """SS-VB and model averaging together, of a standardised Gram, by default with the paper's prior.
+    """Model averaging and variational Bayes (SS-VB) on a standardised Gram, by default with the paper's prior.
 
-    From model averaging, which may leave out the `tolerance` of the posterior mass, are `pip`, `support` (the median
-    probability model), `coef` and `covariance` (exact given that model), `averaged`, `noise_variance`; from variational
-    Bayes, in `details`, `elbo_trace` and `optimum`. If the models listed leave out enough to change probabilities by
-    more than 2 %, collapsed Gibbs sampling, of this seed, takes the place of averaging. Where signs or bounds are known
-    the answer is that of model averaging alone.
+    Model averaging, which may leave out a share `tolerance` of the posterior mass, gives `pip`, `support` (the median
+    probability model), `coef` and `covariance` (exact given that model), `averaged` and `noise_variance`; variational
+    Bayes gives `elbo_trace` and `optimum` in `details`. If some `pip` are unsettled, and one differs by more than 0.02
+    from its value over the listed models alone, collapsed Gibbs sampling with `seed` replaces the averaging. Where
+    signs or bounds are known, the answer is that of model averaging alone.
     """
     bma = spike_slab_bma(gram, prior, tolerance=tolerance)
     if prior is not None and prior.limits is not None:

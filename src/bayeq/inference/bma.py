@@ -1,7 +1,7 @@
 """Bayesian model averaging on the collapsed marginal likelihood (34): exact weights, no sampling.
 
-A few terms are averaged over all models by Gray-code enumeration, more over the models that a best-first search finds
-to hold nearly all of the mass (`inference.collapsed.listing`).
+With few terms the average is over all models, with more over the models that a best-first search finds to hold nearly
+all of the mass (`inference.collapsed.listing`).
 """
 
 from __future__ import annotations
@@ -23,25 +23,27 @@ from bayeq.inference.posterior import Averaged, Details, ModelAverage, Posterior
 from bayeq.inference.prior import Prior
 from bayeq.kernels import kernel
 
-# Models beyond this share of the mass add nothing to moments that a user could see. Truncated ones take some 0.1 ms
-# each: of more than this many only those up to a larger share, still less than a listing leaves out.
+# Moments are averaged over the likeliest models, all but a share MOMENT_MASS of the mass. With known signs or bounds a
+# truncated model takes some 0.1 ms: of more than TRUNCATED_MODELS all but a share TRUNCATED_MASS, which is still less
+# than a listing leaves out.
 MOMENT_MASS = 1e-6
 TRUNCATED_MODELS = 1000
 TRUNCATED_MASS = 1e-3
 
-# Models in the moments of a listing that is not complete: this many, or as many as keep models times terms below this.
-# What they lack of a term its probability makes up for: moments given that it is in hardly depend on other terms.
+# Moments of an incomplete listing use at most MOMENT_MODELS models, or MOMENT_WORK / P if that is more. They are scaled
+# by each term's PIP over its share in these models, for moments given inclusion hardly depend on the other terms.
 MOMENT_MODELS = 100
 MOMENT_WORK = 200_000
 
-# The likeliest models that the answer keeps, at most: those of a spread posterior, tens of thousands, say nothing that
-# its probabilities do not, and fill files of megabytes.
+# Largest number of models kept in the answer, likeliest first: the tens of thousands of models of a spread posterior
+# add nothing to its inclusion probabilities, and fill files of megabytes.
 MOST_KEPT = 5000
 
-# The covariance over all models is kept for this many terms, the likeliest.
+# The covariance over all models is kept for at most this many terms, the likeliest.
 MOST_COVARIANCES = 1000
 
-# Draws are rejected by blocks of at least this many, and this many times: signs right in one of 10^5 draws are met.
+# Rejection sampling draws blocks of at least REJECTED, at most MOST_REJECTIONS of them: enough for signs that are right
+# in one of 10^5 draws.
 REJECTED = 1000
 MOST_REJECTIONS = 1000
 
@@ -50,8 +52,8 @@ MOST_REJECTIONS = 1000
 def _mixture_moments(
     p: Problem, models: Bools, weights: Floats, place: Ints, count: int
 ) -> tuple[Floats, Floats, Floats, float]:
-    """Mean and second moment (P,) of theta, its second moments (Q, Q), and the mean of sigma^2 over weighted models;
-    `place` (P,) is that of each term among the Q = `count`, or -1."""
+    """Averages over weighted models: mean and mean square (P,) of theta, its second moments (Q, Q), mean of sigma^2.
+    `place` (P,) is each term's index in the matrix of Q = `count` terms, -1 for a term outside it."""
     terms = len(p.Dty)
     mean, square, second, noise = np.zeros(terms), np.zeros(terms), np.zeros((count, count)), 0.0
     current = np.zeros(terms, np.bool_)
@@ -80,7 +82,7 @@ def average_models(
     """The models to average over: all of them, or those that hold all but `tolerance` of the mass."""
     if limits is None:
         return list_models(problem, tolerance, enumerate_up_to)
-    # brings scipy.special, which takes a while to import
+    # imports scipy.special, which takes a while
     from bayeq.inference.signs import list_signed
 
     return list_signed(problem, limits, tolerance, enumerate_up_to)
@@ -89,8 +91,8 @@ def average_models(
 def _moments(
     problem: Problem, limits: Floats | None, models: Bools, weights: Floats, place: Ints, count: int
 ) -> tuple[Floats, Floats, Floats, float]:
-    """`_mixture_moments` of models some of which limits may truncate."""
-    # in the order of their bits, so that half as many flips lead from one to the next as in that of their weights
+    """Like `_mixture_moments`, with the coefficients truncated at `limits` where these are known and in doubt."""
+    # models sorted by their bits: half as many flips from one to the next as sorted by weight
     order = np.lexsort(np.packbits(models, axis=1).T)
     models, weights = models[order], weights[order]
     if limits is None:
@@ -122,19 +124,20 @@ def spike_slab_bma(
 ) -> Posterior:
     """Posterior under spike-and-slab priors, by default the paper's, by averaging over models with their exact weights.
 
-    The Gram is standardised. Up to `enumerate_up_to` free terms all models are enumerated; a search may leave out the
-    `tolerance` of the posterior mass. `revise` returns the models found with other log posteriors. `coef` and
-    `covariance` are those of the median probability model (Barbieri and Berger 2004), exact given the model; `average`
-    lists the models. Where these leave out more than the tolerance, `pip` is the probability of each term given the
-    others averaged over models, and `unsettled` are terms of which the two differ by more than the tolerance (before
-    `revise`); `contradicted` names terms whose known signs or bounds the data contradict.
+    The Gram is standardised. Up to `enumerate_up_to` free terms all models are enumerated; with more, a search may
+    leave out a share `tolerance` of the posterior mass. `revise` takes the models found and returns them with other log
+    posteriors. `coef` and `covariance` are those of the median probability model (Barbieri and Berger 2004), exact
+    given the model; `average` lists the models. If these leave out more than the tolerance (and are not revised), `pip`
+    averages each term's probability given the other terms over the models searched; `unsettled` names terms for which
+    this differs from the PIP over the listed models by more than the tolerance (compared before `revise`);
+    `contradicted` names terms whose known signs or bounds the data contradict.
     """
     prior = prior or Prior()
     problem, limits = Problem.of(gram, prior), prior.limits
     found = average_models(problem, limits, tolerance=tolerance, enumerate_up_to=enumerate_up_to)
     settled = found.pip(tolerance)[1]
     if revise is not None:
-        found = replace(revise(found), inclusion=None)  # which was that before
+        found = replace(revise(found), inclusion=None)  # it belongs to the former log posteriors
     weights, (pip, known) = found.weights, found.pip(tolerance)
     complete = found.left_out <= tolerance * (1.0 + 1e-9)
     enough, most = np.searchsorted(np.cumsum(weights), (1.0 - MOMENT_MASS, 1.0 - TRUNCATED_MASS)).tolist()
@@ -191,7 +194,7 @@ def _draw_given_model(p: Problem, active: Bools, n: int, rng: np.random.Generato
 def _draw_given_signs(
     p: Problem, limits: Floats, active: Bools, n: int, rng: np.random.Generator
 ) -> tuple[Floats, Floats]:
-    """`_draw_given_model` within limits: draws beyond are rejected."""
+    """Like `_draw_given_model`, rejecting draws outside the limits (P, 2)."""
     theta, noise = np.empty((0, len(active))), np.empty(0)
     for _ in range(MOST_REJECTIONS):
         drawn, variance = _draw_given_model(p, active, max(n, REJECTED), rng)
@@ -210,7 +213,7 @@ def sample_average(
 ) -> tuple[Floats, Floats, NDArray[np.intp]]:
     """Independent draws from the mixture: theta (n, P), sigma^2 (n,), and the model (n,) each came from, eq. (33).
 
-    InputError: known signs or bounds that hardly any draw of a model has.
+    InputError: known signs or bounds that hardly any draw of a model satisfies.
     """
     which = rng.choice(len(average.probability), size=n, p=average.probability)
     theta, noise = np.zeros((n, len(problem.Dty))), np.empty(n)

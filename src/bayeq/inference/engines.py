@@ -17,7 +17,7 @@ from bayeq.plugins import Table
 if TYPE_CHECKING:
     from bayeq.inference.posterior import Posterior
 
-# Candidates that are not in an equation are listed and drawn from this probability on.
+# Least inclusion probability of a candidate outside the equation for it to be listed and drawn.
 NOTEWORTHY_PIP = 0.01
 
 
@@ -25,12 +25,12 @@ NOTEWORTHY_PIP = 0.01
 class Engine:
     """A row of the table."""
 
-    function: str | Callable[..., Posterior]  # module, in this folder, and name, with a colon between; or the function
-    title: str  # what it is, for the reader of its answer
-    score: str = "PIP"  # what stands in the column of its `pip`
+    function: str | Callable[..., Posterior]  # the function, or "module:name" of one in this folder
+    title: str  # description of the method, printed with its answer
+    score: str = "PIP"  # header of the column of `pip` in printed tables
     spike_slab: bool = False  # whether its prior is the spike-and-slab prior, under which models can be compared
     random: bool = False  # whether it draws random numbers: it then takes ``seed``
-    options: Mapping[str, Any] = field(default_factory=dict)  # of the function, where they are not its defaults
+    options: Mapping[str, Any] = field(default_factory=dict)  # arguments that differ from the function's defaults
 
     @property
     def run(self) -> Callable[..., Posterior]:
@@ -41,7 +41,7 @@ class Engine:
         return partial(getattr(import_module(f"bayeq.inference.{module}"), name), **self.options)
 
 
-# All select the terms whose `pip` exceeds 0.5.
+# Every engine selects the terms whose `pip` exceeds 0.5.
 _OWN = {
     "auto": Engine(
         "auto:spike_slab_auto",

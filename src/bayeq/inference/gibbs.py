@@ -36,17 +36,17 @@ from bayeq.inference.posterior import Averaged, Details, Draws, Posterior, of_st
 from bayeq.inference.prior import Prior
 from bayeq.kernels import kernel
 
-# Multivariate R-hat below which chains count as converged (the paper, section 4).
+# Multivariate R-hat below which chains count as converged (the paper, section 4), and most coefficients in it.
 RHAT_LIMIT = 1.1
 MOST_IN_RHAT = 200
 
-# Terms that a chain starts with at most.
+# Largest number of terms in the model that a chain starts from.
 MOST_AT_START = 30.0
 
 
 @kernel
 def draw_theta(T: Tableau, active: Bools, variance: float, rng: np.random.Generator, out: Floats) -> None:
-    """theta_r ~ N(a_r, sigma^2 A_r) into `out`, zero elsewhere; the Cholesky factor of A_r = -M_rr is taken here."""
+    """Draw theta_r ~ N(a_r, sigma^2 A_r) into `out`, zero elsewhere, by a Cholesky factor of A_r = -M_rr."""
     index = np.flatnonzero(active)
     r = len(index)
     L = np.empty((r, r))
@@ -118,7 +118,7 @@ def exchange_terms(p: Problem, T: Tableau, active: Bools, rng: np.random.Generat
     return 0
 
 
-# A chain in one kernel: its state, and the arrays that it fills, are all passed in.
+# One kernel runs a whole chain: its state, and the arrays that it fills, are all passed in.
 @kernel
 def sample_chain(
     p: Problem,
@@ -172,10 +172,10 @@ def sample_posterior(
     exchange: bool = True,
     seed: int | Sequence[int] = 0,
 ) -> Draws:
-    """Draws of z, theta and sigma^2 from independent chains, each of a random stream of its own.
+    """Draws of z, theta and sigma^2 from independent chains, each with its own random stream.
 
-    Of each chain's `samples` the first `burn_in` are left out, as in the paper. With `exchange` terms are also
-    exchanged in one step. InputError: no chains, or no samples after the burn-in.
+    The first `burn_in` of each chain's `samples` are discarded, as in the paper. With `exchange` a term may also be
+    exchanged for another in one step. InputError: no chains, or no samples after the burn-in.
     """
     if chains < 1 or burn_in < 0 or samples <= burn_in:
         raise InputError(f"need chains >= 1 and samples > burn_in >= 0, got {chains}, {samples}, {burn_in}")
@@ -204,12 +204,12 @@ def multivariate_rhat(theta: Floats) -> float:
     """Multivariate potential scale reduction factor of m >= 2 chains of n samples, (m, n, P); 1 if nothing varies.
 
     The square root of (n-1)/n + (m+1)/m lambda, lambda the largest eigenvalue of W^-1 B/n, with W the mean covariance
-    within the chains and B/n that of their means (Brooks and Gelman 1998, section 4.1; the square root as in R's coda),
-    of the 200 coefficients at most that are not zero most often.
+    within the chains and B/n that of their means (Brooks and Gelman 1998, section 4.1; the square root as in R's coda).
+    It is computed for at most 200 coefficients, those that are nonzero most often.
     """
     m, n, _ = theta.shape
     often = np.count_nonzero(theta, axis=(0, 1))
-    # of a large dictionary the terms that are in most often
+    # in a large dictionary, the terms that are in most often
     chosen = np.sort(np.argsort(-often, kind="stable")[: min(int((often > 0).sum()), MOST_IN_RHAT)])
     theta = theta[:, :, chosen]
     if m < 2 or n < 2 or theta.shape[2] == 0:

@@ -25,12 +25,12 @@ BLOCK_ROWS = 8192
 # A sum of squares below this has lost digits.
 LEAST_SQUARES = 1e-280
 
-# Up to this many columns the products are those of our own kernel, above BLAS is as fast.
+# Up to this many columns our own kernel computes the products; with more, BLAS is as fast.
 SMALL = 160
 
 
 class GramLike(Protocol):
-    """What an engine may ask of a Gram matrix; `Gram` answers from memory, others may compute columns lazily."""
+    """Interface of a Gram matrix to engines; `Gram` holds all of it in memory, others may compute columns lazily."""
 
     @property
     def names(self) -> tuple[str, ...]: ...
@@ -139,7 +139,7 @@ class Gram:
             raise InputError("cannot add Grams of different dictionaries")
         joined = self._moments() + other._moments()
         merged = from_moments(joined, self.names, 1)[0]
-        # The intercept is lost once, however many parts were added.
+        # The intercept takes its degree of freedom once, however many parts were added.
         return merged.with_dof(merged.n - max(self.n - self.dof, other.n - other.dof))
 
     @property
@@ -163,7 +163,7 @@ class Gram:
         Parameters
         ----------
         j : int
-            Place of the column, from 0.
+            Index of the column, from 0.
 
         Returns
         -------
@@ -183,7 +183,7 @@ class Gram:
         Returns
         -------
         Gram
-            With these, and all else as it was.
+            The same Gram with this `dof`.
         """
         return replace(self, dof=float(dof))
 
@@ -193,12 +193,12 @@ class Gram:
         Parameters
         ----------
         columns : sequence of int
-            Their places, from 0.
+            Indices of the columns, from 0.
 
         Returns
         -------
         Gram
-            Of these columns, in this order.
+            Statistics of these columns, in this order.
         """
         idx = np.asarray(columns, dtype=np.intp)
         return replace(
@@ -231,12 +231,12 @@ class Gram:
         return max(float(centred), 0.0) + offset
 
     def raised(self, power: float) -> Gram:
-        """The statistics of a likelihood raised to a power of at most 1: as if of fewer rows.
+        """The statistics of a likelihood raised to a power of at most 1, equivalent to fewer rows.
 
         Parameters
         ----------
         power : float
-            Every row counts as this share of one.
+            Weight of every row.
         """
         if power == 1.0:
             return self
@@ -257,7 +257,7 @@ class Gram:
         Parameters
         ----------
         target_scale : float
-            In the unit of y.
+            Divisor of y, in its unit.
 
         Returns
         -------
@@ -268,14 +268,14 @@ class Gram:
         return self.in_units(np.where(sd > 0, sd, 1.0), target_scale)
 
     def in_units(self, scale: Floats, target_scale: float) -> Standardised:
-        """Columns of zero mean divided by a scale each, (P,), and y by `target_scale`.
+        """The Gram of centred columns divided by `scale` and of centred y divided by `target_scale`.
 
         Parameters
         ----------
         scale : (P,) array
-            In the units of the columns.
+            Divisor of each column, in its unit.
         target_scale : float
-            In the unit of y.
+            Divisor of y, in its unit.
 
         Returns
         -------
@@ -300,7 +300,7 @@ class Standardised:
     target_scale: float
 
     def apply(self, other: Gram) -> Gram:
-        """The Gram of other rows in the same units: about the same centre, by the same scales."""
+        """The Gram of other rows in the same units: shifted by the same means, divided by the same scales."""
         return replace(
             other,
             mean=(other.mean - self.source.mean) / self.scale,
@@ -328,7 +328,7 @@ class Moments:
 
 
 def _block_moments(D: Floats, Y: Floats) -> Moments:
-    """Centred co-moments of a block: products of deviations from about the mean, corrected for what that is off."""
+    """Centred co-moments of a block: products about an approximate mean, corrected for the error of that mean."""
     n = len(D)
     if D.shape[1] + Y.shape[1] > SMALL:
         return _weighted_moments(D, Y, np.ones(n))
@@ -343,7 +343,7 @@ def _weighted_moments(D: Floats, Y: Floats, weights: Floats) -> Moments:
     n = float(weights.sum())
     with np.errstate(over="ignore", invalid="ignore"):
         z = np.concatenate([D, Y], axis=1)
-        # from the first row on, so that a constant column has exactly no variance
+        # the first row is subtracted, so that a constant column has exactly zero variance
         first = z[0].copy()
         z -= first
         mean = weights @ z / n
@@ -364,7 +364,7 @@ def from_moments(moments: Moments, names: tuple[str, ...], targets: int) -> tupl
         raise InputError(f"non-finite values (or squares that overflow) in {', '.join(labels[j] for j in bad[:8])}")
     p = len(names)
     DtD = np.ascontiguousarray(moments.cross[:p, :p])
-    # weights that count rows give a whole number
+    # n is an int if the weights add up to a whole number
     n = int(moments.n) if moments.n == int(moments.n) else moments.n
     return tuple(
         Gram(
@@ -382,7 +382,7 @@ def from_moments(moments: Moments, names: tuple[str, ...], targets: int) -> tupl
 
 
 def _joined(parts: Iterable[Moments], names: tuple[str, ...], targets: int) -> tuple[Gram, ...]:
-    """The Grams of the moments of all parts together."""
+    """One `Gram` per target from the merged moments of all parts; an InputError refuses no parts."""
     total: Moments | None = None
     for part in parts:
         total = part if total is None else total + part
@@ -404,7 +404,7 @@ def grams_from_blocks(
 def grams_from_data(
     D: ArrayLike, Y: ArrayLike, names: Sequence[str] | None = None, weights: ArrayLike | None = None
 ) -> tuple[Gram, ...]:
-    """One `Gram` per column of Y (n, T), all of which share D'D; otherwise as `Gram.from_data`."""
+    """Like `Gram.from_data`, with one `Gram` per column of Y (n, T); all share D'D."""
     D = np.asarray(D, dtype=np.float64)
     Y = np.asarray(Y, dtype=np.float64)
     if D.ndim != 2 or Y.ndim != 2 or len(D) != len(Y):
@@ -427,8 +427,8 @@ def default_names(columns: int) -> tuple[str, ...]:
 
 
 def require_squares(D: Floats, Y: Floats, diagonal: Floats, yty: Floats, names: Sequence[str]) -> None:
-    """Raise an InputError that names the columns of D (n, P) and Y (n, T) whose squares are too small to keep
-    digits, by their centred sums of squares."""
+    """Raise an InputError that names the columns of D (n, P) and Y (n, T) that vary, but whose centred sums of squares,
+    `diagonal` (P,) and `yty` (T,), are too small to keep digits."""
     if min(diagonal.min(initial=np.inf), yty.min(initial=np.inf)) >= LEAST_SQUARES:
         return
     small = [names[int(j)] for j in np.flatnonzero(diagonal < LEAST_SQUARES) if np.ptp(D[:, j]) > 0.0]
@@ -450,17 +450,17 @@ def checked_weights(weights: ArrayLike, rows: int) -> Floats:
     return w
 
 
-# With fewer columns than this D'D is small, however few the rows.
+# Least number of columns for a `LazyGram`: with fewer, D'D is small, however few the rows.
 LEAST_COLUMNS = 500
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LazyGram:
-    """Centred data that answer as a `Gram` does."""
+    """Centred data with the interface of a Gram; columns of D'D are computed on demand."""
 
     names: tuple[str, ...]  # the P columns
     n: float  # number of rows
-    mean: Floats  # (P,), of D
+    mean: Floats  # (P,), column means of D
     target_mean: float
     data: Floats  # (n, P), centred D
     # centred sums of squares and products
@@ -490,7 +490,7 @@ class LazyGram:
 
 
 def _lazy_grams(D: Floats, Y: Floats, names: Sequence[str] | None, weights: ArrayLike | None) -> tuple[LazyGram, ...]:
-    """One `LazyGram` per column of Y, all with the same data."""
+    """One `LazyGram` per column of Y (n, T); all share the centred D."""
     columns = tuple(names) if names is not None else default_names(D.shape[1])
     w = np.ones(len(D)) if weights is None else checked_weights(weights, len(D))
     n = float(w.sum())
@@ -526,7 +526,7 @@ def _lazy_grams(D: Floats, Y: Floats, names: Sequence[str] | None, weights: Arra
 def grams_of(
     D: Floats, Y: Floats, names: Sequence[str] | None = None, weights: ArrayLike | None = None
 ) -> tuple[Gram | LazyGram, ...]:
-    """As `grams_from_data`, of regressions of the columns of Y (n, T) on D (n, P); lazy where D is wide and P large."""
+    """Like `grams_from_data`; `LazyGram`s if D (n, P) has more columns than rows and at least `LEAST_COLUMNS`."""
     rows, columns = D.shape
     if columns > rows and columns >= LEAST_COLUMNS:
         return _lazy_grams(D, Y, names, weights)

@@ -1,4 +1,4 @@
-"""Sums of products of narrow columns, z z', faster than BLAS and in one pass over the rows.
+"""Sums of products z z' over rows z of few columns, faster than BLAS and in one pass over the rows.
 
 Columns lie one after the other in a block that stays in the cache, four at a time are multiplied with four others, and
 the sixteen sums stay in registers. Unlike those of BLAS they are the same to the last bit for any number of threads.
@@ -14,12 +14,12 @@ from bayeq.kernels import kernel
 # Rows that are multiplied at a time: forty columns of them are 80 kB.
 CACHED_ROWS = 256
 
-# Columns of a block are this much longer than its rows: at powers of two they would share the same lines of the cache.
+# Each column of a block has this many values beyond its rows: at strides of a power of two columns share cache lines.
 APART = 8
 
 
 def block_for(columns: int, rows: int) -> Floats:
-    """Room (C, R > `rows`) for `add_products`: some columns, one of ones, zeros up to a multiple of four."""
+    """Array (C, R > `rows`) for `add_products`: zeros for `columns` columns, one of ones, zeros to a multiple of 4."""
     block = np.zeros((_padded(columns), rows + APART))
     block[columns] = 1.0
     return block
@@ -33,7 +33,7 @@ def _padded(columns: int) -> int:
 @kernel(reordered=True)
 def _add_tile(block: Floats, first: int, stop: int, a: int, b: int, sums: Floats) -> None:
     """Products of columns a to a + 3 with columns b to b + 3."""
-    # counted from 0: an index that may be negative keeps LLVM from using vectors
+    # slices, so that the index starts at 0: one that may be negative keeps LLVM from using vectors
     a0, a1, a2, a3 = (
         block[a][first:stop], block[a + 1][first:stop], block[a + 2][first:stop], block[a + 3][first:stop]
     )  # fmt: skip
@@ -93,7 +93,7 @@ def _transpose(part: Floats, shift: Floats, block: Floats) -> None:
 
 @kernel
 def shifted_products(D: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
-    """Shifts (P + T,), and sums (P + T,) and sums of products (P + T, P + T), of the columns of [D y] less these.
+    """Shifts (P + T,) of the columns of [D y]; sums (P + T,) and products (P + T, P + T) of the shifted columns.
 
     The shifts are the means of the first rows of D (n, P) and y (n, T): a constant column is exactly zero.
     """

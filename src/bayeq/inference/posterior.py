@@ -1,4 +1,4 @@
-"""What every engine returns, and intervals of coefficients over models."""
+"""`Posterior`, which every engine returns, and intervals of coefficients over models."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from bayeq.errors import InputError
 from bayeq.inference.gram import GramLike, Standardised
 from bayeq.kernels import kernel
 
-# Where fields of version 0.2 stand; their names go in 0.5.
+# Present places of the fields of version 0.2; the former names are removed in 0.5.
 MOVED = {
     **{name: f"details.{name}" for name in ("method", "n_iter", "converged", "slab_variance", "bounds")},
     **{name: f"details.{name}" for name in ("contradicted", "elbo", "elbo_trace", "optimum", "rhat")},
@@ -34,7 +34,7 @@ MOVED = {
     "error_sd": "projected.error_sd",
 }
 
-# Coefficients between these have squares: variances.
+# The squares (variances) of coefficients between these are floating-point numbers.
 SMALLEST, LARGEST = 1e-150, 1e150
 
 
@@ -70,7 +70,7 @@ class ModelAverage:
     Attributes
     ----------
     models : (K, P) bool array
-        Likeliest first.
+        Terms in each model, the likeliest model first.
     probability : (K,) array
         Posterior probabilities within the set; they sum to 1.
     left_out : float
@@ -78,7 +78,7 @@ class ModelAverage:
     terms : (Q,) int array
         Terms that are in at least one of the models (the likeliest thousand, if there are more).
     covariance : (Q, Q) array
-        Posterior covariance of the coefficients of these terms over all models: within and between.
+        Posterior covariance of the coefficients of these terms over all models: that within models and that between.
     """
 
     models: Bools
@@ -88,15 +88,15 @@ class ModelAverage:
     covariance: Floats
 
     def log_odds(self, model: Bools, others: Mapping[bytes, float]) -> list[float]:
-        """Of other models against one.
+        """Log posterior odds of other models against `model`.
 
         Parameters
         ----------
         model : (P,) bool array
-            Which terms it holds.
+            Terms in the model.
         others : mapping of bytes to float
-            Models, and the log odds of those where the first is not listed; a model that is not listed has at most
-            the probability left out.
+            Other models, with log odds for use where `model` is not listed, and where the other model is not, up to
+            those of the probability left out.
         """
         listed = {one.tobytes(): p for one, p in zip(self.models, self.probability.tolist(), strict=True)}
         own = math.log(listed.get(model.tobytes(), 0.0) or math.inf)
@@ -109,10 +109,10 @@ class ModelAverage:
         ]
 
     def credible_groups(self, least: float = 0.05) -> list[tuple[tuple[int, ...], float]]:
-        """Terms that replace each other: undecided, and rarely in together.
+        """Groups of terms that replace each other: undecided, and rarely in together.
 
         Two terms are linked if each has a PIP between `least` and 1 - `least` and they are in together less than half
-        as often as if they were independent; groups are what links connect.
+        as often as if they were independent; a group is a connected set of linked terms.
 
         Returns
         -------
@@ -142,7 +142,7 @@ class ModelAverage:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Averaged:
-    """Coefficients over all models, 0 in those without their term.
+    """Coefficients averaged over all models, counted as 0 in a model without the term.
 
     Attributes
     ----------
@@ -159,18 +159,18 @@ class Averaged:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Constant:
-    """What the intercept follows from.
+    """Quantities from which the intercept is computed.
 
     Attributes
     ----------
     center, mean : (P,) array, float
         Means of the columns and of the target.
     variance : float or None
-        Of the mean of the target, where it is not sigma^2/n.
+        Variance of the target's mean, where it is not sigma^2/n.
     pip : float or None
         Probability that the intercept is not zero, where it was judged like a term.
     left_out : (float, float) or None
-        What the intercept would be, with its standard deviation, where it is probably zero and not in the model.
+        Estimate and standard deviation of an intercept that is probably zero and therefore not in the model.
     """
 
     center: Floats
@@ -182,21 +182,21 @@ class Constant:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Projected:
-    """What the likelihood of the record said before the posterior became its projection.
+    """The likelihood's own coefficients, where the posterior projects the smoothed right-hand side on the terms.
 
     Attributes
     ----------
     coef, sd : (P,) arrays
-        Coefficients and standard deviations of the likelihood itself.
+        Coefficients and standard deviations by the likelihood, before the projection.
     freedom : (P,) array
-        Degrees of freedom of the standard deviations by projection; infinite of those that are known.
+        Degrees of freedom of the standard deviations by projection, infinite where these are known.
     error_share : float
-        Root mean square of what the terms leave of the right-hand side beside noise, over the target's standard
-        deviation.
+        Root mean square of the model error (the part of the smoothed right-hand side that the terms do not explain),
+        over the target's standard deviation.
     error_sd : float
-        The same in the unit of the target.
+        Root mean square of the model error, in the unit of the target.
     error_lines : tuple of float
-        Frequencies [Hz] that divide its power evenly, in ascending order.
+        Frequencies [Hz] that divide the power of the model error into equal shares, in ascending order.
     """
 
     coef: Floats
@@ -209,7 +209,7 @@ class Projected:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Details:
-    """How an engine came to its posterior.
+    """How an engine computed its posterior.
 
     Attributes
     ----------
@@ -222,11 +222,11 @@ class Details:
     slab_variance : float or None
         v_s under which the posterior was computed.
     bounds : (P, 2) array or None
-        Bounds that intervals are cut at, infinite where there are none; signs alone are none.
+        Bounds at which intervals are cut, infinite for coefficients without bounds or of which only the sign is known.
     contradicted : tuple of str
         Terms whose known signs or bounds the data contradict.
     unsettled : tuple of str
-        Terms whose probabilities a search of models, stopped at its limit, does not know.
+        Terms whose probabilities are uncertain because the search over models stopped at its limit.
     elbo_trace : (n,) array
         Evidence lower bound of variational Bayes after each sweep.
     optimum : (P,) bool array or None
@@ -248,7 +248,7 @@ class Details:
 
     @property
     def elbo(self) -> float | None:
-        """Evidence lower bound, where there is one."""
+        """Evidence lower bound at the end of the ascent; None without variational Bayes."""
         return float(self.elbo_trace[-1]) if len(self.elbo_trace) else None
 
 
@@ -269,19 +269,19 @@ class Posterior:
     covariance : (r, r) array
         Posterior covariance of the selected coefficients.
     constant : Constant
-        What the intercept follows from.
+        Quantities from which the intercept is computed.
     noise_variance : float
         Posterior estimate of sigma^2.
     n : float
         Rows that the posterior was computed from: an int, or the sum of their weights.
     details : Details
-        How the engine came to it.
+        How the engine computed it.
     averaged : Averaged or None
         The coefficients over all models, where models are averaged.
     average : ModelAverage or None
         The models that were averaged over, where they are listed.
     projected : Projected or None
-        Of the likelihood itself, where coefficients and intervals are its projection.
+        The likelihood's own coefficients, where `coef` and `covariance` are by projection.
     """
 
     names: tuple[str, ...]
@@ -299,12 +299,12 @@ class Posterior:
 
     @property
     def draws(self) -> Draws | None:
-        """Samples over models, where they were kept."""
+        """Samples of models and coefficients; None if not kept."""
         return None if self.averaged is None else self.averaged.draws
 
     @property
     def error_lines(self) -> tuple[float, ...]:
-        """As of `Projected`; empty where it is not known."""
+        """`Projected.error_lines`; empty without a projection."""
         return () if self.projected is None else self.projected.error_lines
 
     @property
@@ -321,9 +321,9 @@ class Posterior:
 
     @property
     def intercept_sd(self) -> float:
-        """Standard deviation of the intercept: sigma^2/n plus what the coefficients' errors carry over.
+        """Standard deviation of the intercept, from the variances of the target's mean and of the coefficients.
 
-        0 of one that is not in the model.
+        0 for an intercept that is not in the model.
         """
         known = self.constant
         if known.left_out is not None:
@@ -335,7 +335,7 @@ class Posterior:
     if not TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any:
-            """A field of version 0.2 that stands elsewhere now, with a DeprecationWarning."""
+            """A field of version 0.2 that has moved since, with a DeprecationWarning."""
             if name not in MOVED:
                 raise AttributeError(f"'Posterior' object has no attribute {name!r}")
             part, place = MOVED[name].split(".")
@@ -378,7 +378,7 @@ class Posterior:
             average = replace(average, covariance=average.covariance * np.outer(own, own))
         return replace(
             self,
-            # engines see the degrees of freedom only, and round
+            # the n of an engine is rounded, from the degrees of freedom
             n=standard.source.n,
             coef=self.coef * factor,
             covariance=self.covariance * kept[:, None] * kept,
@@ -400,7 +400,7 @@ class Posterior:
         Returns
         -------
         (n*,) array
-            In the unit of the target.
+            Predictive means, in the unit of the target.
         """
         D = np.asarray(D, dtype=np.float64)
         kept = self.support
@@ -417,7 +417,7 @@ class Posterior:
         Returns
         -------
         (n*,) array
-            In the unit of the target.
+            Standard deviations, in the unit of the target.
         """
         kept = self.support
         Z = np.asarray(D, dtype=np.float64)[:, kept] - self.constant.center[kept]
@@ -436,7 +436,7 @@ def of_standardised(
     averaged: Averaged | None = None,
     average: ModelAverage | None = None,
 ) -> Posterior:
-    """The posterior of a standardised regression: means are 0, and the intercept has taken one of its rows."""
+    """The posterior of a standardised regression: means are 0, and n = dof + 1, since the intercept took one row."""
     return Posterior(
         names=gram.names,
         pip=pip,
@@ -455,13 +455,13 @@ def of_standardised(
 # Probability below a 95 % interval, and above it.
 TAIL = 0.025
 
-# The quantiles of a mixture are looked for within this many standard deviations of every component: beyond are 1e-19.
+# Quantiles of a mixture are sought within this many standard deviations of its components: 1e-19 of each lies beyond.
 REACH = 9.0
 
 
 @kernel
 def _quantiles(weight: Floats, mean: Floats, sd: Floats, probability: Floats) -> Floats:
-    """Of mixtures of normal distributions, a row (K,) each, by bisection to rounding; NaN where nothing is asked."""
+    """Quantiles of mixtures of normals, a row (K,) each, by bisection; NaN for a `probability` not in (0, 1)."""
     out = np.full(len(probability), np.nan)
     for j in range(len(probability)):
         if not 0.0 < probability[j] < 1.0:
@@ -494,7 +494,7 @@ def _quantiles(weight: Floats, mean: Floats, sd: Floats, probability: Floats) ->
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Mixture:
-    """The posterior of each of P coefficients over models: 0, or if its term is in, a mixture of K normal ones.
+    """The posterior of each of P coefficients over models: 0 if its term is out, else a mixture of K normals.
 
     Examples
     --------
@@ -505,7 +505,7 @@ class Mixture:
 
     weight: Floats  # (P, K), probability of each model given that the term is in; rows sum to 1
     mean: Floats  # (P, K), of the coefficient given the model
-    sd: Floats  # (P, K); 0 is a point
+    sd: Floats  # (P, K), likewise; 0 for a point mass
     pip: Floats  # (P,), probability that the term is in
 
     def given_in(self) -> Floats:

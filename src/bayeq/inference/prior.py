@@ -21,18 +21,18 @@ def half_lines(signs: Ints) -> Floats:
 
 
 def limited(limits: Floats) -> Bools:
-    """Which coefficients have limits (P, 2)."""
+    """Whether each coefficient has a finite limit, (P,), from limits (P, 2)."""
     return np.asarray(np.isfinite(limits).any(axis=1), dtype=np.bool_)
 
 
 def signs_of(limits: Floats) -> Ints:
-    """Signs (P,) of coefficients of which no more is known than these, 0 for others."""
+    """Signs (P,) of coefficients with limits (0, inf) or (-inf, 0); 0 for all other limits."""
     low, high = limits.T
     return ((low == 0.0) & np.isposinf(high)).astype(np.int64) - (np.isneginf(low) & (high == 0.0))
 
 
 def common(one: Floats, other: Floats) -> Floats:
-    """What two limits, (P, 2) each, have in common."""
+    """Intersection of two sets of limits, (P, 2) each."""
     return np.column_stack([np.maximum(one[:, 0], other[:, 0]), np.minimum(one[:, 1], other[:, 1])])
 
 
@@ -55,8 +55,8 @@ class Prior:
         Known signs of coefficients, 0 for unknown. Given inclusion the prior of a coefficient of known sign is the half
         normal on that side. For model averaging (`auto`, `bma`); other methods refuse them.
     bounds : (P, 2) array, optional
-        Least and largest value of each coefficient, infinite where there is none: the slab is truncated there. The
-        share of a slab that is left, which its evidence is relative to, is that for a noise of variance 1.
+        Least and largest value of each coefficient, infinite where there is none: the slab is truncated there. Its
+        normalising constant, the mass of the slab within the bounds, is computed for a noise variance of 1.
 
     Notes
     -----
@@ -77,7 +77,7 @@ class Prior:
         Parameters
         ----------
         terms : int
-            Number of its columns.
+            Number of columns of the dictionary.
 
         Raises
         ------
@@ -108,7 +108,7 @@ class Prior:
 
     @property
     def limits(self) -> Floats | None:
-        """Ends of `signs` and `bounds` together, (P, 2); None if nothing is known."""
+        """Intersection of `signs` and `bounds` as limits, (P, 2); None if nothing is known."""
         known = self.signs is not None and bool(np.any(self.signs))
         ends = half_lines(np.asarray(self.signs).astype(np.int64)) if known else None
         if self.bounds is not None and bool(np.isfinite(self.bounds).any()):
@@ -136,7 +136,7 @@ class Prior:
     def log_odds(self, terms: int) -> Floats:
         """logit(p_0) of each term: +inf for a forced, -inf for a forbidden one.
 
-        0 for the others if their p_0 is unknown (`inclusion_beta`): `size_prior` then says the rest.
+        0 for the others if their p_0 is unknown (`inclusion_beta`): `size_prior` is then their prior.
 
         Parameters
         ----------
@@ -146,7 +146,7 @@ class Prior:
         Returns
         -------
         (P,) array
-            In nats.
+            Log odds, in nats.
         """
         p0 = np.asarray(self.prior_inclusion, dtype=np.float64)
         if self.inclusion_beta is not None:
@@ -155,10 +155,10 @@ class Prior:
             return np.full(terms, np.log(p0) - np.log1p(-p0))
 
     def size_prior(self, terms: int) -> Floats:
-        """What a model of r = 0..P terms has on top of the log-odds of its terms.
+        """Log prior of a model of r = 0..P terms in addition to the log-odds of its terms.
 
-        With p_0 ~ Beta(a, b) a model with k of the F free terms has probability B(k + a, F - k + b)/B(a, b); relative
-        to 2^-F, which log-odds of 0 give it.
+        With p_0 ~ Beta(a, b) a model with k of the F free terms has probability B(k + a, F - k + b)/B(a, b), here
+        relative to 2^-F, its probability by log-odds of 0. Zero if p_0 is given.
 
         Parameters
         ----------
@@ -168,7 +168,7 @@ class Prior:
         Returns
         -------
         (P + 1,) array
-            By number of terms, in nats.
+            Log prior by number of terms, in nats.
         """
         out = np.zeros(terms + 1)
         if self.inclusion_beta is not None:

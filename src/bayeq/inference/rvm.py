@@ -30,11 +30,11 @@ MIN_GAIN = 1e-6
 
 @kernel
 def _best_action(T: Tableau, lam: Floats, beta: float) -> tuple[int, float, float]:
-    """The term whose action gains most, its new lambda (inf: leave out) and the gain."""
+    """The action that raises the marginal likelihood most: term (-1: none), its new lambda (inf: delete), log gain."""
     p = len(lam)
     best, best_j, best_lam = MIN_GAIN, -1, math.inf
     for j in range(p):
-        # sparsity and quality of term j with itself left out, eqs. (23)-(24) there, in units of beta = 1
+        # sparsity and quality factors of term j, the term itself left out: their eqs. (23)-(24), for beta = 1
         if lam[j] < math.inf:
             variance = -T.diagonal[j]
             room = 1.0 - lam[j] * variance
@@ -86,7 +86,7 @@ def _shift_ridge(T: Tableau, j: int, delta: float) -> None:
 
 @kernel
 def rvm_ascent(p: Problem, max_iter: int) -> tuple[Floats, Tableau, float, int, bool]:
-    """Sequential maximisation: gamma (P,), the swept tableau, the noise variance, the steps, whether it converged."""
+    """Sequential maximisation; returns gamma (P,), the swept tableau, noise variance, steps, whether it converged."""
     terms, yty = len(p.Dty), p.yty
     T = build(p.columns, p.Dty, yty, 0.0)
     lam = np.full(terms, math.inf)
@@ -123,16 +123,16 @@ def rvm_ascent(p: Problem, max_iter: int) -> tuple[Floats, Tableau, float, int, 
 
 @kernel
 def rvm_gamma(p: Problem) -> Floats:
-    """gamma (P,) of a machine that starts another engine: 0 for a term left out."""
+    """gamma (P,) of the RVM, from which another engine starts; 0 for a term left out."""
     return rvm_ascent(p, 50 * len(p.Dty) + 100)[0]
 
 
 def rvm(gram: GramLike, prior: Prior | None = None, *, least_gamma: float = 0.0, max_iter: int = 10_000) -> Posterior:
     """Relevance vector machine of a standardised Gram, in at most `max_iter` add, re-estimate and delete steps.
 
-    It learns its own prior; one is accepted so that all engines are called alike, and known signs are refused. Terms
-    whose gamma is not above `least_gamma` are taken out after convergence. `pip` holds gamma_i = 1 - alpha_i Sigma_ii,
-    how well the data determine each weight: a measure of relevance, not a probability.
+    The machine learns its own prior: `prior` is ignored, except that known signs or bounds are refused. Terms whose
+    gamma is not above `least_gamma` are taken out after convergence. `pip` holds gamma_i = 1 - alpha_i Sigma_ii, how
+    well the data determine each weight: a measure of relevance, not a probability.
     """
     if prior is not None:
         prior.refuse_signs("rvm")

@@ -2,9 +2,9 @@
 
     theta | sigma^2 ~ N(m, sigma^2 V),  sigma^2 ~ inverse-Gamma(h, s/2)   =>   theta ~ t with 2h degrees of freedom
 
-P(0 < theta < width) and the moments given that are integrated by quasi-Monte Carlo over the separated variables of Genz
-(1992) and Genz and Bretz (2002), with 1/sigma^2 as one of the variables. The points are fixed: the same numbers in, the
-same numbers out. Logarithms throughout, so that orthants far out in the tails do not underflow.
+P(0 < theta < width), and the moments of theta given this, are integrated by quasi-Monte Carlo over the separated
+variables of Genz (1992) and Genz and Bretz (2002), with 1/sigma^2 as one of the variables. The points are fixed, so the
+results are reproducible. Logarithms are used throughout, so that orthants far out in the tails do not underflow.
 """
 
 from __future__ import annotations
@@ -27,20 +27,20 @@ from bayeq.inference.prior import limited, signs_of
 from bayeq.kernels import kernel
 from bayeq.numerics.settings import INFERENCE
 
-# Points of the quadrature: PIPs are off by less than 1e-4, standard deviations by some 1e-4 of themselves.
+# Points of the quadrature: PIPs are off by less than 1e-4, standard deviations by a share of some 1e-4.
 POINTS = 256
 
 # Sweeps of the projection onto the orthant. It need not be exact: it only says where sigma^2 is to be sampled.
 SWEEPS = 10
 
-# Least share of its variance that a coefficient keeps given the others: below it is rounding.
+# Least conditional variance of a coefficient given those before it, as a share of its variance: less is rounding.
 LEAST_SHARE = 1e-12
 
-# Between numbers that are nearer to each other a normal variable is as good as uniform.
+# Between limits nearer to each other than this a standard normal variable is taken as uniform.
 NARROW = 1e-3
 
-# A sign that is wrong with less than this share of the probability of all signs right takes no part in the orthant:
-# far below what the quadrature resolves.
+# A limit is left out of the orthant if the probability of its violation is less than this share of the probability that
+# all limits hold: far below what the quadrature resolves.
 NEGLIGIBLE = 1e-9
 
 
@@ -72,7 +72,7 @@ def _cholesky(V: Floats) -> Floats:
 
 
 def _distance(m: Floats, V: Floats) -> Floats:
-    """Squared Mahalanobis distance of m (B, k) from the orthant, about: projected Gauss-Seidel on its dual."""
+    """Approximate squared Mahalanobis distance of m (B, k) from the orthant, by projected Gauss-Seidel on the dual."""
     dual, theta = np.zeros_like(m), m.copy()
     for _ in range(SWEEPS if bool((m < 0.0).any()) else 0):
         for j in range(m.shape[1]):
@@ -83,8 +83,8 @@ def _distance(m: Floats, V: Floats) -> Floats:
 
 
 def _between(low: Floats, high: Floats, log_uniform: Floats) -> tuple[Floats, Floats]:
-    """ln P(low < e < high) of a standard normal variable, and values of it between them."""
-    if np.isposinf(high).all():  # without what follows, which takes twice as long
+    """ln P(low < e < high) of a standard normal e, and samples of e between the limits, by `log_uniform` = ln u."""
+    if np.isposinf(high).all():  # the general case below takes twice as long
         inside = log_ndtr(-low)
         return inside, -ndtri_exp(log_uniform + inside)
     turned = -low > high
@@ -96,8 +96,8 @@ def _between(low: Floats, high: Floats, log_uniform: Floats) -> tuple[Floats, Fl
 
 
 def _moments_between(low: Floats, high: Floats, inside: Floats) -> tuple[Floats, Floats]:
-    """Mean and variance of a standard normal variable between two numbers, ln of whose probability is `inside`."""
-    with np.errstate(invalid="ignore"):  # of no end
+    """Mean and variance of a standard normal variable between two limits; `inside` is ln of their probability."""
+    with np.errstate(invalid="ignore"):  # inf times 0 where there is no upper limit
         a, b = (np.exp(-0.5 * end**2 - 0.5 * math.log(2.0 * math.pi) - inside) for end in (low, high))
         variance = 1.0 + low * a - np.where(np.isfinite(high), high * b, 0.0) - (a - b) ** 2
         narrow, middle = high - low < NARROW, 0.5 * (low + high)
@@ -106,14 +106,14 @@ def _moments_between(low: Floats, high: Floats, inside: Floats) -> tuple[Floats,
 
 
 def faced(mean: Floats, limits: Floats) -> tuple[Floats, Floats, Floats]:
-    """Turns, ends and widths by which limits (..., 2) are 0 <= turn (theta - end) <= width, from the nearer end on."""
+    """Turns, ends and widths: limits (..., 2) as 0 <= turn (theta - end) <= width, from the end nearer to `mean`."""
     low, high = limits[..., 0], limits[..., 1]
     turn = np.where(mean > 0.5 * low + 0.5 * high, -1.0, 1.0)
     return turn, np.where(turn < 0.0, high, low), high - low
 
 
 class Orthants:
-    """The orthants theta > 0 of B problems of k coefficients each, or boxes: points with their weights.
+    """Quadrature points and weights for theta in an orthant, or box, in each of B problems of k coefficients.
 
     theta | sigma^2 ~ N(m, sigma^2 V), sigma^2 ~ inverse-Gamma(h, s/2), with m (B, k), V (B, k, k), s (B,);
     `log_probability` (B,) is ln P(0 < theta < width).
@@ -128,7 +128,7 @@ class Orthants:
         V = np.take_along_axis(V, self.order[:, :, None], axis=1)
         V = np.take_along_axis(V, self.order[:, None, :], axis=2)
         self.L = L = _cholesky(V)
-        # 1/sigma^2 is sampled where the orthant puts it; the ratio of the densities goes into the weights
+        # 1/sigma^2 is sampled from about its density in the orthant; the ratio of densities goes into the weights
         q, gammas, uniforms = _distance(self.m, V), _gammas(h), _uniforms(k)
         root = np.sqrt(2.0 * gammas / (s + q)[:, None])
         self.sigma = 1.0 / root
@@ -152,7 +152,7 @@ class Orthants:
     def moments(self) -> tuple[Floats, Floats, Floats]:
         """Mean (B, k) and covariance (B, k, k) of theta, and mean of sigma^2 (B,), in the orthant."""
         w = self.weight
-        # the last variable is a normal one between its bounds, whose moments are known
+        # the last variable is a truncated normal one, whose moments are known
         self.e[-1], spread = _moments_between(*self.last)
         d = self.sigma * self.e
         first = np.einsum("bn,kbn->bk", w, d)
@@ -169,13 +169,13 @@ class Orthants:
 
 
 def truncated(m: Floats, V: Floats, limits: Floats, s: float, h: float) -> tuple[Floats, Floats]:
-    """Mean (r,) and covariance (r, r) of coefficients within limits (r, 2), infinite where there are none.
+    """Mean (r,) and covariance (r, r) of coefficients truncated at limits (r, 2), infinite where there are none.
 
-    If there are none theta | sigma^2 ~ N(m, sigma^2 V), sigma^2 ~ inverse-Gamma(h, s/2).
+    Before truncation theta | sigma^2 ~ N(m, sigma^2 V), sigma^2 ~ inverse-Gamma(h, s/2).
 
     Examples
     --------
-    A coefficient that may be nothing, of known variance: a half normal distribution, sqrt(2/pi) and 1 - 2/pi.
+    A coefficient of mean 0 and variance 1, limited to negative values, is half normal: -sqrt(2/pi) and 1 - 2/pi.
 
     >>> mean, covariance = truncated(np.zeros(1), np.eye(1), np.array([[-np.inf, 0.0]]), 2e9, 1e9)
     >>> mean.round(3), covariance.round(3)
@@ -200,9 +200,10 @@ def truncated(m: Floats, V: Floats, limits: Floats, s: float, h: float) -> tuple
 def carried(
     m: Floats, V: Floats, among: NDArray[np.intp], mean: Floats, covariance: Floats, variance: float
 ) -> tuple[Floats, Floats]:
-    """Moments of all r coefficients from those of the k truncated ones, at the places `among`, and the mean of sigma^2.
+    """Mean (r,) and covariance (r, r) of all coefficients from those of the k truncated ones and the mean of sigma^2.
 
-    Given these the others are Gaussian as ever, with means linear in them: theta | sigma^2 ~ N(m, sigma^2 V).
+    Given the truncated ones, at the indices `among`, the others are Gaussian with means linear in them, as
+    theta | sigma^2 ~ N(m, sigma^2 V) says.
     """
     slope = V[:, among] @ np.linalg.pinv(V[np.ix_(among, among)], hermitian=True)
     slope[among] = np.eye(len(among))
@@ -212,19 +213,19 @@ def carried(
     return m + slope @ (mean - m[among]), 0.5 * (total + total.T)
 
 
-# Numbers (models times squares of constrained terms) held at a time, and models whose orthants are computed at a time.
+# Covariances held at a time (models times the square of constrained terms), and models per computation of orthants.
 CHUNK = 1 << 21
 BATCH = 256
 
-# Room for models of the search, some two seconds; and models that it starts from.
+# Largest number of models in the search (some two seconds), and number of listed models that it starts from.
 MOST_MODELS = 20_000
 STARTS = 100
 
 
 @kernel
 def _blocks(p: Problem, known: Bools, models: Bools, most: int) -> tuple[Ints, Floats, Floats, Floats, Floats]:
-    """Of each model its constrained terms (K, `most`), or -1; their means, and covariances over sigma^2; s; the
-    score."""
+    """Per model: its constrained terms (K, `most`), followed by -1 where there are fewer; their means, and their
+    covariances over sigma^2; s and the score, (K,) each."""
     count = len(models)
     terms = np.full((count, most), -1)
     mean, spread = np.zeros((count, most)), np.zeros((count, most, most))
@@ -250,16 +251,16 @@ def _blocks(p: Problem, known: Bools, models: Bools, most: int) -> tuple[Ints, F
 
 
 class Truncation:
-    """What limits do to each of K models."""
+    """The probability that known limits hold in each of K models, and which limits are in doubt."""
 
     terms: Ints  # (K, Q), the constrained terms of each model, followed by -1 where there are fewer
-    turn: Floats  # (K, Q), as `end`, from `faced`
-    end: Floats
-    scores: Floats  # (K,), log posteriors up to `search.log_constant`, with 2^k, without the probability of right signs
-    wrong: Floats  # (K, Q), probability that each is beyond its limits if they are not known; 0 at the end of `terms`
-    needed: Bools  # (K, Q), limits in doubt; if there is none the truncation changes nothing
-    log_right: Floats  # (K,), ln P(all within their limits), or a bound of it from above
-    exact: Bools  # (K,), where it is no bound
+    turn: Floats  # (K, Q), from `faced`, as is `end`
+    end: Floats  # (K, Q)
+    scores: Floats  # (K,), log posteriors up to `search.log_constant`, with `_gains`, without P(limits hold)
+    wrong: Floats  # (K, Q), probability of violating each limit if limits were not known; 0 where `terms` is -1
+    needed: Bools  # (K, Q), whether a limit is in doubt; a model with none in doubt is not changed by truncation
+    log_right: Floats  # (K,), ln P(limits hold), or an upper bound of it
+    exact: Bools  # (K,), whether `log_right` is exact and no bound
 
     def __init__(self, p: Problem, limits: Floats, models: Bools) -> None:
         self._h = p.h
@@ -279,13 +280,13 @@ class Truncation:
             right[boxed] -= beyond
         self.needed = active & (self.wrong > NEGLIGIBLE * right.prod(axis=1, keepdims=True))
         with np.errstate(divide="ignore"):
-            # far out in a tail the probability is too small to be a number
+            # far out in a tail the probability underflows to 0
             least = np.log(np.maximum(right, 0.0).min(axis=1, where=self.needed, initial=1.0))
         self.exact = (self.needed.sum(axis=1) <= 1) & np.isfinite(least)
         self.log_right = np.where(np.isfinite(least), least, 0.0)
 
     def orthants(self, rows: Ints) -> Iterator[tuple[Ints, Ints, Orthants]]:
-        """Orthants of some models, by their number of doubtful signs: the models, places in `terms` of the signs."""
+        """Yields models of `rows` with equally many limits in doubt, the limits' places in `terms`, their orthants."""
         count = self.needed[rows].sum(axis=1)
         for size in np.unique(count):
             k = rows[count == size]
@@ -296,7 +297,7 @@ class Truncation:
 
 
 def _gains(p: Problem, limits: Floats) -> Floats:
-    """What the slab of each term gains by its limits, (P,): -ln of its share within, for a noise of variance 1."""
+    """Gain in log density of each term's slab by truncation, (P,): -ln of its mass within limits, for unit noise."""
     low, high = limits.T / math.sqrt(p.slab_variance)
     shares, _ = _between(low, high, np.zeros(len(limits)))
     return np.where(signs_of(limits) != 0, math.log(2.0), np.where(limited(limits), -shares, 0.0))
@@ -308,7 +309,7 @@ def _most(limits: Floats, models: Bools) -> int:
 
 
 def _parts(limits: Floats, models: Bools) -> Iterator[slice]:
-    """Parts of many models whose covariances find room."""
+    """Slices of the models, each with at most `CHUNK` numbers in the covariances of its constrained terms."""
     size = max(1, CHUNK // max(1, _most(limits, models)) ** 2)
     return (slice(start, start + size) for start in range(0, len(models), size))
 
@@ -316,8 +317,8 @@ def _parts(limits: Floats, models: Bools) -> Iterator[slice]:
 def signed_scores(
     p: Problem, limits: Floats, models: Bools, window: float = math.inf, top: float = -math.inf
 ) -> tuple[Floats, Floats]:
-    """Log posteriors of K models, up to `search.log_constant`, without the probability of right signs and with it: a
-    bound from above where it is not within `window` nats of the best, or of `top`."""
+    """Log posteriors (K,) of models up to `search.log_constant`: without the probability that the limits hold, and with
+    it. Models more than `window` nats below the best (or `top`) get an upper bound of the second."""
     without, value = np.empty(len(models)), np.empty(len(models))
     for part in _parts(limits, models):
         found = Truncation(p, limits, models[part])
@@ -335,7 +336,7 @@ def signed_scores(
 
 
 def truncated_models(p: Problem, limits: Floats, models: Bools) -> Iterator[tuple[int, Floats, Floats, float]]:
-    """Those of K models whose signs are in doubt: number, mean (P,) and covariance (r, r) of theta, mean of sigma^2."""
+    """Yields, for each model with limits in doubt: index, mean (P,) and covariance (r, r) of theta, mean of sigma^2."""
     for part in _parts(limits, models):
         found = Truncation(p, limits, models[part])
         doubtful = np.flatnonzero(found.needed.any(axis=1))
@@ -351,7 +352,7 @@ def truncated_models(p: Problem, limits: Floats, models: Bools) -> Iterator[tupl
 def _carried(
     p: Problem, active: Bools, truncated: Ints, mean: Floats, covariance: Floats, variance: float
 ) -> tuple[Floats, Floats, float]:
-    """Moments of all P coefficients of a model, and the mean of sigma^2, from those of the truncated ones."""
+    """Mean (P,) and covariance (r, r) of a model's coefficients from those of the truncated ones; mean of sigma^2."""
     T, kept = swept(p, active), np.flatnonzero(active)
     V = active_block(T, kept)
     among = np.searchsorted(kept, truncated)
@@ -363,11 +364,12 @@ def _carried(
 def list_signed(p: Problem, limits: Floats, tolerance: float, enumerate_up_to: int) -> ModelSet:
     """Models that hold all but `tolerance` of the posterior mass, and whether the data contradict the signs.
 
-    First models are listed with the slab's share of its limits for their probability, which bounds what is left out.
-    They are the answer if the signs are right in at least half of their mass, otherwise a start of the search.
+    Models are first listed with the gain of their truncated slabs, but without the probability that the limits hold:
+    an upper bound of their mass, and so of the mass left out. This list is the answer if the limits hold in at least
+    half of its mass; otherwise the search starts from it.
     """
     either = p._replace(log_odds=p.log_odds + _gains(p, limits))
-    # half of the mass at least is kept, so that what is left out may have twice its share
+    # if the limits hold in half of the mass, the share left out may double
     found = list_models(either, 0.5 * tolerance, enumerate_up_to)
     without, value = signed_scores(p, limits, found.models, KEEP)
     order = np.argsort(-value, kind="stable")
@@ -376,7 +378,7 @@ def list_signed(p: Problem, limits: Floats, tolerance: float, enumerate_up_to: i
         left = found.left_out / (found.left_out + (1.0 - found.left_out) * right)
         return ModelSet(found.models[order], value[order], left, found.expanded)
     listed = _search(p, limits, either, [*found.models[order[:STARTS]], *_starts(either, limits)], tolerance)
-    # where its sign is not known a constrained term has the odds of any other
+    # scores without limits: a constrained term then has the odds of any other
     free = without - found.models @ _gains(p, limits)
     if logsumexp(free) - logsumexp(listed.log_posterior) < INFERENCE.signs_contradicted:
         return listed
@@ -386,7 +388,7 @@ def list_signed(p: Problem, limits: Floats, tolerance: float, enumerate_up_to: i
 
 
 def _starts(p: Problem, limits: Floats) -> list[Bools]:
-    """Local optima without the signs, terms of the wrong sign taken out until there is none."""
+    """Local optima ignoring limits; repeated without those terms of the best one that violate limits, until none do."""
     found: list[Bools] = []
     while True:
         optima = [model for _, model in best_models(p)]
@@ -399,7 +401,7 @@ def _starts(p: Problem, limits: Floats) -> list[Bools]:
 
 
 def _search(p: Problem, limits: Floats, either: Problem, new: list[Bools], tolerance: float) -> ModelSet:
-    """Best-first search by the weights with the signs: half of the mass not expanded yet is expanded at a time."""
+    """Best-first search by the posterior within the limits; each pass expands half of the mass not yet expanded."""
     seen: set[bytes] = set()
     models, waiting = np.empty((0, len(limits)), dtype=np.bool_), np.empty(0, dtype=np.bool_)
     without, value, expanded = np.empty(0), np.empty(0), 0
@@ -423,6 +425,6 @@ def _search(p: Problem, limits: Floats, either: Problem, new: list[Bools], toler
         chosen = frontier[: 1 + np.searchsorted(mass, 0.5 * mass[-1])]
         waiting[chosen] = False
         expanded += len(chosen)
-        # a neighbour has no more weight with the signs than without
+        # a neighbour's score without the probability of its limits is an upper bound of its score with it
         least = value[0] - KEEP
         new = [move.apply(models[k]) for k in chosen for move in neighbours(either, models[k], without[k] - least)]

@@ -1,7 +1,8 @@
 """Sequentially thresholded least squares: the SINDy algorithm (Brunton, Proctor and Kutz 2016), on a Gram.
 
-Least squares (with a ridge) on the active terms, terms with a coefficient below the threshold are dropped, until
-none is. The threshold is given, or swept and chosen by the error on held-out rows as in the paper's comparison.
+Least squares (with a ridge) on the active terms is repeated, dropping terms with a coefficient below the threshold,
+until all are above. The threshold is given, or swept and chosen by the error on held-out rows as in the paper's
+comparison (without such rows by the Bayesian information criterion).
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from bayeq.inference.posterior import Constant, Details, Posterior
 from bayeq.inference.prior import Prior
 from bayeq.kernels import kernel
 
-# A pivot that is a smaller share of its column's sum of squares is a column that depends on the others.
+# A column counts as linearly dependent on earlier ones if its pivot is a smaller share of its sum of squares.
 DEPENDENT = 1e-13
 
 # Thresholds tried by a sweep.
@@ -109,11 +110,11 @@ def stlsq(
     centred: bool = True,
     max_iter: int = 20,
 ) -> Posterior:
-    """Sequentially thresholded least squares at one threshold, of coefficients in the units of the Gram.
+    """Sequentially thresholded least squares at one threshold, for coefficients in the units of the Gram.
 
     Terms with a smaller coefficient are dropped, in at most `max_iter` regressions. The ridge is added to the diagonal
     of D'D (PySINDy's alpha). `centred` estimates an intercept; otherwise the regression is on the raw columns as
-    PySINDy does. A prior is not used. `pip` is 1 for a term that is in; the covariance is that of least squares.
+    PySINDy does. `prior` is ignored. `pip` is 1 for a term that is in; the covariance is that of least squares.
     """
     del prior
     whole_number("max_iter", max_iter, 1)
@@ -138,8 +139,8 @@ def sweep_stlsq(
     """STLSQ at the threshold with the least error on held-out rows, in the units of the Gram.
 
     `held_out` are other rows in the same units; without them the Bayesian information criterion decides. Thresholds, by
-    default 60 from the least to the largest coefficient of all terms together, are compared with coefficients of
-    standardised or raw columns, as the ridge is. `max_iter` limits the regressions per threshold.
+    default 60 from the smallest to the largest coefficient of the regression on all terms, apply to coefficients of
+    standardised or raw columns, as does the ridge. `max_iter` limits the regressions per threshold.
     """
     if prior is not None:
         prior.refuse_signs("stlsq")
@@ -165,7 +166,7 @@ def sweep_stlsq(
 
 
 def _means(gram: GramLike) -> tuple[Floats, float]:
-    """Means of the columns and of the target; a Gram that does not know them is standardised."""
+    """Means of the columns and of the target; 0 for a Gram without means, which is standardised."""
     return (gram.mean, gram.target_mean) if isinstance(gram, Gram | LazyGram) else (np.zeros(len(gram.names)), 0.0)
 
 
@@ -195,7 +196,7 @@ def _posterior(
     yty = gram.yty if centred else gram.yty + n * target_mean**2
     variance = _residual_sum(yty, K, c, coef) / max(gram.dof - len(kept), 1.0)
     information = K[np.ix_(kept, kept)] + ridge * np.eye(len(kept))
-    # of unit diagonal on the way; directions that rounding decides have no variance
+    # scaled to unit diagonal for the inversion; directions lost in rounding get no variance
     scale = 1.0 / np.sqrt(np.diagonal(information))
     unit = np.outer(scale, scale)
     inverse = np.linalg.pinv(information * unit, rcond=len(kept) * np.finfo(np.float64).eps, hermitian=True) * unit
@@ -205,7 +206,7 @@ def _posterior(
         support=support,
         coef=coef.copy(),
         covariance=variance * inverse,
-        # a centre of zero and no mean of the target: no intercept
+        # zero means of the columns and of the target: no intercept
         constant=Constant(mean, target_mean) if centred else Constant(np.zeros(len(coef))),
         noise_variance=variance,
         n=n,

@@ -26,10 +26,10 @@ from bayeq.inference.prior import Prior
 from bayeq.inference.rvm import rvm_gamma
 from bayeq.kernels import kernel
 
-# What `vb_ascent` returns.
+# Returned by `vb_ascent`: mu, Sigma of the active terms, their indices, a, b, ELBO trace.
 Ascent = tuple[Floats, Floats, Ints, float, float, Floats]
 
-# Moves that VB restarts from when its optimum turns out to be improvable.
+# VB restarts from this many flips and swaps, the best, that improve the model at its optimum.
 RETESTS = 4
 
 # Noise precision that goes with the RVM's start (the paper's section 3.2).
@@ -115,9 +115,9 @@ def _digamma(x: float) -> float:
 
 @kernel
 def _inclusion_rate(p: Problem, w: Floats, log_odds: Floats) -> float:
-    """q(p_0) = Beta(a + sum w, b + sum(1 - w)) over the free terms: writes E ln p_0 - E ln(1-p_0) of each.
+    """q(p_0) = Beta(a', b') = Beta(a + sum w, b + sum(1 - w)): fills `log_odds` of free terms, E ln p_0 - E ln(1-p_0).
 
-    Returns what p(z | p_0) p(p_0) adds to the ELBO then: ln B(a', b') - ln B(a, b).
+    Returns the contribution of p(z | p_0) p(p_0) to the ELBO: ln B(a', b') - ln B(a, b).
     """
     a, b = p.inclusion_beta[0], p.inclusion_beta[1]
     new_a, new_b = a, b
@@ -169,7 +169,7 @@ def _update_indicators(
 
 @kernel
 def vb_ascent(p: Problem, w: Floats, tau: float, tolerance: float, max_iter: int) -> Ascent:
-    """Coordinate ascent from inclusion probabilities `w` (changed in place) and noise precision `tau`, 0 for the best.
+    """Coordinate ascent from inclusion probabilities `w` (changed in place) and noise precision `tau` (0: best for w).
 
     Returns mu (P,), Sigma of the active terms, their indices, a, b and the ELBO trace, empty if D'D is indefinite.
     """
@@ -252,7 +252,7 @@ def _best_ascent(p: Problem, starts: Floats, taus: Floats, tolerance: float, max
 def _starts(
     problem: Problem, init: Literal["search", "greedy", "rvm"] | Floats, models: Sequence[Bools]
 ) -> tuple[Floats, Floats, Bools | None]:
-    """Where the ascents start: w (K, P) and tau (K,); and the model that the search found best, if there was one."""
+    """Starts of the ascents, w (K, P) and tau (K,), and the best model of the search (None without a search)."""
     terms = len(problem.Dty)
     if not isinstance(init, str):
         w = np.array(init, dtype=np.float64)
@@ -286,14 +286,14 @@ def spike_slab_vb(
 ) -> Posterior:
     """Variational posterior under spike-and-slab priors, by default the paper's, of a standardised Gram.
 
-    VB can only prune and keeps false terms of a correlated dictionary, so its optimum is that of its start, `init`.
+    VB can only prune and keeps false terms of a correlated dictionary, so its optimum depends on its start, `init`.
     "rvm" starts from the RVM's gamma as the paper does; "search" from the RVM and the best models of a search on the
-    collapsed tableau, or from `models` (P,) and those near them, and keeps the highest ELBO; "greedy" from the one
-    model that adding and dropping single terms leads to; an array (P,) gives w itself. An ascent stops when the ELBO
-    rises by less than the tolerance, eq. (27), or after `max_iter` sweeps.
+    collapsed tableau, or from `models` (P,) and their neighbours, and keeps the highest ELBO; "greedy" from the model
+    that adding and dropping single terms leads to; an array (P,) gives w itself. An ascent stops when the ELBO rises by
+    less than the tolerance, eq. (27), or after `max_iter` sweeps.
 
-    Of the posterior `pip` holds w, `elbo` the bound (28) with its misprint corrected. InputError: options or prior
-    parameters out of range, or known signs.
+    `pip` of the posterior holds w, `details.elbo` the bound (28) with its misprint corrected. InputError: options or
+    prior parameters out of range, or known signs.
     """
     prior = prior or Prior()
     prior.refuse_signs("vb")
@@ -303,7 +303,7 @@ def spike_slab_vb(
     problem = Problem.of(gram, prior)
     starts, taus, tested = _starts(problem, init, models)
     best_w, best = _best_ascent(problem, starts, taus, tolerance, max_iter)
-    # every excluded term and every swap is tested again where the ascents have ended, unless the search has done so
+    # every flip and swap is tested at the model where the ascents ended, unless the search has tested that model
     while tested is not None and not np.array_equal(model := best_w > 0.5, tested):
         better = neighbours(problem, model, -GAIN_TOLERANCE)[:RETESTS]
         if not better:

@@ -1,1 +1,1 @@
-"""What is in a record or a file: `info`, before anything is inferred."""
+"""`info`: summary of a record or a file before inference."""

@@ -1,4 +1,4 @@
-"""Numbers of each channel: range, mean, standard deviation, missing samples, resolution, spectrum."""
+"""Statistics of each channel: range, mean, standard deviation, missing samples, resolution, spectrum."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from bayeq.records import Record
 from bayeq.records.findings import equal_runs
 from bayeq.records.repair import GAP
 
-# Rows by which a channel's levels and repeated samples are judged: enough to see how it was sampled.
+# Number of samples from which levels and repeated samples of a channel are judged.
 JUDGED = 20_000
 
-# A channel is said to be coarse if its standard deviation is fewer levels than this.
+# A channel counts as coarse if its standard deviation is fewer levels than this.
 COARSE = 20.0
 
-# Samples that repeat on average this many times are held: sampled slower than the record.
+# A channel is held, sampled more slowly than the record, if its median run of equal samples is at least this long.
 HELD = 1.9
 
 # Share of the power that the bandwidth holds.
 SHARE = 0.99
 
-# A record of up to SHORT rows is one segment, longer ones are segments of a quarter, up to LONGEST rows, half over each
-# other. Of more than MOST_SEGMENTS some are taken, evenly over the record: the rest would hardly change the picture.
+# Segments of a spectrum: the whole record up to SHORT rows, else a quarter of it, up to LONGEST rows, overlapping by
+# half; at most MOST_SEGMENTS of them, spread evenly over the record.
 SHORT, LONGEST, MOST_SEGMENTS = 8192, 65536, 16
 
-# Octaves that are shown, from half the sampling rate down; the lowest one takes what is below.
+# Maximum number of octaves, from half the sampling rate down; the lowest one includes all lower frequencies.
 MOST_OCTAVES = 12
 LEAST_ROWS = 16
 
@@ -50,18 +50,18 @@ class Spectrum:
 
 @dataclass(frozen=True, slots=True)
 class ChannelInfo:
-    """What the samples of one channel are like."""
+    """Statistics of the samples of one channel."""
 
     name: str
     unit: str  # empty where it is not known
     missing: int  # samples that are NaN or infinite
-    least: float  # this and the next three of the other samples; NaN where there are none
+    least: float  # this and the next three: of the finite samples; NaN if there are none
     greatest: float
     mean: float
     sd: float
-    resolution: float | None  # distance of levels, of a channel that has few
-    held: float | None  # rows for which a sample stays on average, of a channel that is sampled slower than the record
-    spectrum: Spectrum | None  # None without time, or of a channel that does not move
+    resolution: float | None  # distance of levels, if the channel is coarse
+    held: float | None  # mean number of rows per sample, if the channel is sampled more slowly than the record
+    spectrum: Spectrum | None  # None without time, or for a constant channel
 
     @property
     def constant(self) -> bool:
@@ -70,7 +70,7 @@ class ChannelInfo:
 
 
 def describe_channels(records: Sequence[Record]) -> dict[str, ChannelInfo]:
-    """Numbers of every channel over all records, which are parts of one file."""
+    """Statistics of every channel over all records, which are parts of one file."""
     clocks = [(record.time, record.dt, record.is_uniform()) for record in records]
     return {name: _described(records, clocks, name) for name in records[0].names}
 
@@ -108,13 +108,13 @@ def _described(records: Sequence[Record], clocks: Sequence[_Clock], name: str) -
 
 
 def _sampling(values: Floats) -> tuple[float | None, float | None]:
-    """Distance of levels if it is coarse, and how many rows a sample is held if more than one."""
+    """Distance of levels if the channel is coarse, and mean number of rows per sample if it is held; else None."""
     levels = np.unique(values)
     if len(levels) < 2:
         return None, None
     distance = float(np.diff(levels).min())
     coarse = len(levels) < 0.1 * len(values) and float(values.std()) < COARSE * distance
-    # samples at rest, or at an extreme, are repeated without being held: the usual run counts
+    # samples at rest, or at an extreme, are repeated without being held: the median run decides
     lengths = equal_runs(values)[1]
     usual = float(np.median(lengths))
     held = float(lengths.mean()) if usual >= HELD and not coarse else None
@@ -139,7 +139,7 @@ def _even_pieces(values: Floats, time: Floats | None, step: float | None, even: 
 
 
 def spectrum(pieces: Sequence[Floats], step: float) -> Spectrum | None:
-    """Spectrum of stretches of one channel at even steps of time [s], without NaN; None of short or constant ones."""
+    """Spectrum of stretches of one channel at even steps of time [s], without NaN; None for short or constant ones."""
     longest = max((len(piece) for piece in pieces), default=0)
     length = longest if longest <= SHORT else min(LONGEST, longest // 4)
     if length < LEAST_ROWS:

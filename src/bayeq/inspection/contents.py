@@ -1,4 +1,4 @@
-"""`RecordInfo`: what was found out about a record or a file, as text, as HTML and as plain data; what to run next."""
+"""`RecordInfo`: summary of a record or a file as text, HTML and plain data; `Proposal`: the command to run next."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ HEADER = (
 )  # fmt: skip
 LEFT = (0, 1, 2, 8)
 
-# Characters of a line; commands, which are copied, and tables of many wide numbers may have more.
+# Maximum width of a line; commands, which are copied, and tables of many wide numbers may exceed it.
 WIDTH = 100
 
-# Digits of numbers, characters of names and units, and blanks between columns: the first that fit.
+# Digits of numbers, characters of names and units, and blanks between columns: the first set that fits WIDTH is used.
 SIZES = ((4, 24, 2), (3, 24, 2), (3, 24, 1), (3, 16, 1), (3, 12, 1), (3, 8, 1))
 SHORT = {"power by octave": "octaves", TITLES[INPUT]: "input"}
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """How the file is to be read; `time` to `rows` as the options of the same name, `channels` as name and path."""
+    """Options for reading the files: `time` to `sheet` as in `bayeq.read`, `channels` from name to path."""
 
     files: tuple[str, ...] = ()  # empty where the record is no file
     time: str | None = None
@@ -51,28 +51,28 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class Proposal:
-    """What to run next."""
+    """The proposed command to run next."""
 
     command: str | None  # for a shell, quoted; None where the record is no file
     python: str  # the same as a line of Python
     complete: bool  # whether it can be run as it is, without a placeholder
-    notes: tuple[str, ...]  # a sentence for each placeholder and each choice that may be another
+    notes: tuple[str, ...]  # a sentence for each placeholder and each uncertain choice
 
     def to_dict(self) -> dict[str, Any]:
-        """As plain data."""
+        """The proposal as plain data."""
         return {**asdict(self), "notes": list(self.notes)}
 
 
 @dataclass(frozen=True, eq=False)
 class RecordInfo:
-    """What is in a record or a file; print it, or take `to_dict`.
+    """Summary of a record or a file; print it, or take `to_dict`.
 
     Attributes
     ----------
     name : str
         File or label.
     rows : int
-        In all experiments.
+        Number of rows in all experiments.
     experiments : Experiments
         The rows by experiment, and the columns that were taken for time and for numbers of experiments.
     fs : float or None
@@ -80,11 +80,11 @@ class RecordInfo:
     uniform : bool
         Whether all steps of time are the same.
     duration : float or None
-        Of all experiments together [s].
+        Duration of all experiments together [s].
     gaps : tuple of Gap
-        Steps of time longer than 2.5 usual ones.
+        Time steps longer than 2.5 median steps.
     channels : mapping of str to ChannelInfo
-        Numbers of each channel.
+        Statistics of each channel.
     bad : mapping
         Rows (counted from 1) that are spikes, stuck or clipped, by channel and kind.
     looked_at : int
@@ -97,13 +97,13 @@ class RecordInfo:
     guess : Guess
         Likely roles of the channels.
     findings : tuple of str
-        What was noticed, a sentence each.
+        Findings, a sentence each.
     proposal : Proposal
-        What to run next.
+        The command to run next.
     clues : mapping of str to Clue
-        What unit and name of each channel say.
+        Role of each channel according to its unit and name.
     reading : Reading
-        How the file is to be read.
+        Options for reading the file.
     """
 
     name: str
@@ -139,7 +139,7 @@ class RecordInfo:
         return join(*parts, items(self.proposal.notes))
 
     def to_dict(self) -> dict[str, Any]:
-        """What ``bayeq info --json`` prints.
+        """The summary as plain data, as ``bayeq info --json`` prints it.
 
         Returns
         -------
@@ -153,7 +153,7 @@ class RecordInfo:
             (``octaves`` [Hz], ``shares``, ``peak`` and ``bandwidth`` [Hz]); ``copies``;
             ``derivatives``: ``below``, ``above``, ``order``, ``gain``, ``delay`` [s], ``fit``, ``expected``;
             ``roles``: ``chains``, ``inputs``, ``undecided``; ``findings``;
-            ``next``: ``command``, ``python``, ``complete``, ``notes``. What is not known is None.
+            ``next``: ``command``, ``python``, ``complete``, ``notes``. Unknown values are None.
         """
         return {
             "file": self.name,
@@ -275,7 +275,7 @@ def _row(found: RecordInfo, channel: ChannelInfo, plain: bool, digits: int, long
 
 
 def _aligned(rows: Sequence[Sequence[str]], plain: bool, gap: str) -> list[str]:
-    """Columns under each other; those that are empty throughout are left out."""
+    """Lines of a table with aligned columns; columns that are empty throughout are left out."""
     kept = [k for k in range(len(rows[0])) if k < 3 or any(row[k] for row in rows[1:])]
     widths = {k: max(len(row[k]) for row in rows) for k in kept}
     lines = [gap.join(row[k].ljust(widths[k]) if k in LEFT else row[k].rjust(widths[k]) for k in kept) for row in rows]
@@ -285,9 +285,9 @@ def _aligned(rows: Sequence[Sequence[str]], plain: bool, gap: str) -> list[str]:
 
 # --- the command to run next, ready to paste, and the same in Python --------------------------------------------------
 
-# Products of up to three states and inputs for first-order states; up to two where there are fewer rows for each term.
+# Dictionaries for first-order states: products of up to three states and inputs, or up to two with few rows per term.
 CUBIC, QUADRATIC = "polynomial:3", "polynomial:2"
-# Displacements of several masses.
+# Dictionary for displacements of several masses.
 NEIGHBOURS = "neighbours"
 ROWS_PER_TERM = 10
 
@@ -295,7 +295,7 @@ ROWS_PER_TERM = 10
 def propose(
     guess: Guess, clues: Mapping[str, Clue], reading: Reading, rows: int, levels: Collection[str] = ()
 ) -> Proposal:
-    """Command and notes for what was found out about a file, or files, of this many rows; `levels` are of liquids."""
+    """Propose a command, with notes, for files with these roles, clues and `rows`; `levels` are levels of liquids."""
     notes: list[str] = []
     if not reading.clocked and reading.files:
         notes.append(
@@ -367,7 +367,7 @@ def _roles(guess: Guess) -> list[tuple[str, str, str | list[str]]]:
 
 
 def _dictionary(guess: Guess, clues: Mapping[str, Clue], rows: int, levels: Collection[str]) -> str | None:
-    """Terms that suit the chains; None for the default, eq. (31)."""
+    """The dictionary that suits the chains; None for the default, eq. (31)."""
     if not guess.chains:
         return None
     if any(len(chain) == 1 for chain in guess.chains):

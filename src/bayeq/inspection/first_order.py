@@ -1,4 +1,4 @@
-"""Channels that are states of first order for their unit, name or course, where no motion is known among them."""
+"""First-order states, recognised by unit, name or time course, in records without a known motion."""
 
 from __future__ import annotations
 
@@ -14,26 +14,27 @@ from bayeq.inspection.roles import INPUT, Clue, Guess, clue_of
 from bayeq.records import Record
 from bayeq.records.names import REVOLUTIONS
 
-# Speeds of rotation; other quantities of which no inertia is known; their symbols as names (v, a or x are motions).
+# Units of first-order states; names that are symbols of such states (v, a, x are motions).
 UNITS = REVOLUTIONS | {"V", "mV", "kV", "uV", "µV", "A", "mA", "kA", "bar", "mbar", "%"}
 CURRENTS = {"A", "mA", "kA"}
 SYMBOLS = re.compile(r"([VUIT](_.*)?|[uin])(_?\d+)?")
 
-# A channel decays if means of stretches fall, up to a share of the first, to this share of it, and leave this variance.
+# A channel only decays if the means of STRETCHES stretches never rise by more than UNEVEN of the first one, end at
+# DECAYED of it or below, and, interpolated, leave at most LEFT of the variance.
 STRETCHES, UNEVEN, DECAYED, LEFT = 16, 0.02, 0.8, 0.02
 
-# A speed goes on in one direction where this share of its samples is above this share of the largest.
+# A speed keeps its direction if a share ONE_WAY of its samples exceeds a share MOVING of the largest.
 ONE_WAY, MOVING = 0.8, 0.1
 
 
 def of_first_order(guess: Guess, clues: Mapping[str, Clue], record: Record) -> Guess:
-    """The same with states of first order where there are no coordinates, or a speed alone that needs none."""
+    """The guess with first-order states, if it has no chains, or only that of a speed that needs no coordinate."""
     units, reasons, questions = record.units, dict(guess.reasons), list(guess.questions)
     speed = next((chain[1] for chain in guess.chains if chain[::2] == (None, None)), None)
     by_force = any(clues[name].by_unit for name in guess.inputs)
     if (guess.chains or by_force) if speed is None else len(guess.chains) > 1:
         return guess
-    # without what stands before the last underscore in all: u and i of meas_u and meas_i
+    # names without a prefix that all share: u and i of meas_u and meas_i
     names = [*guess.undecided, *guess.inputs]
     shared = len(names) > 1 and len({name.rpartition("_")[0] for name in names}) == 1
     bare = {name: name.rpartition("_")[2] if shared else name for name in names}
@@ -52,7 +53,7 @@ def of_first_order(guess: Guess, clues: Mapping[str, Clue], record: Record) -> G
     elif speed is not None or not alike:
         return guess
     applied = [n for n in alike if n in guess.inputs or clue_of(bare[n], units.get(n, "")).order == INPUT]
-    if speed is None and applied == alike:  # a current follows a voltage
+    if speed is None and applied == alike:  # a current is the state, a voltage the input
         applied.remove(next((name for name in applied if units.get(name) in CURRENTS), applied[-1]))
     states = [name for name in alike if name not in applied]
     inputs = [*(name for name in guess.inputs if name not in (*states, *applied)), *applied]
@@ -71,7 +72,7 @@ def of_first_order(guess: Guess, clues: Mapping[str, Clue], record: Record) -> G
 
 
 def _questions(states: Sequence[str], applied: Sequence[str], unknown: Sequence[str]) -> list[str]:
-    """What else channels may be."""
+    """Questions about other possible roles of the channels."""
     if len(states) + len(applied) < 2:
         return [f"{states[0]} is taken as of first order; if it is a motion: --disp, --vel or --acc {states[0]}"]
     out = [f"{some_of(unknown, 30)}: no unit is known; which are in V, A or rpm?"] if len(unknown) > 1 else []

@@ -1,4 +1,4 @@
-"""`info`: what is in a record or a file, in words that an engineer reads, and the command to run next."""
+"""`info`: summary of a record or a file in plain words, and the command to run next."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ from bayeq.records.record import with_only
 from bayeq.states.bad_samples import ADVICE
 from bayeq.states.prepare import without_impossible
 
-# Of longer records channels are checked against each other on this many rows, the middle ones.
+# In longer records, channels are checked against each other on this many rows in the middle.
 CHECKED = 40_000
 
-# Bad rows that are listed.
+# Maximum number of bad rows that are listed.
 LISTED = 3
 
 
@@ -56,12 +56,12 @@ def info(
     rows: slice | None = None,
     sheet: str | None = None,
 ) -> RecordInfo:
-    """What is in a record or a file, and what to run next.
+    """Summarise a record or a file, and propose the command to run next.
 
     Parameters
     ----------
     source : Record, path, DataFrame or mapping of arrays
-        What was measured. A file is opened as `bayeq.read` does; where its time starts over it is divided there.
+        The measured data. A file is read as by `bayeq.read`, and divided where its time starts over.
     time, fs, names, units, group, channels, skip : optional
         As in `bayeq.read`, for files.
     rows : slice, optional
@@ -107,7 +107,7 @@ def info(
 
 
 def _numbers(path: Path, how: dict[str, Any]) -> tuple[Experiments, list[str]]:
-    """A file by experiment, without columns of words and arrays of other lengths, and what to say of these."""
+    """Read a file by experiment, without columns of words and arrays of other lengths; also remarks on these."""
     remarks: list[str] = []
     words: list[str] = []
     while True:
@@ -122,7 +122,7 @@ def _numbers(path: Path, how: dict[str, Any]) -> tuple[Experiments, list[str]]:
         except LengthsError as error:
             if how["names"]:
                 raise
-            # the length that most arrays have but for short ones, of several such the longest
+            # the most frequent length, short arrays aside; the longest of equally frequent ones
             counts = Counter(size for size in error.sizes.values() if size > SHORT * max(error.sizes.values()))
             usual = max(counts.items(), key=lambda one: (one[1], one[0]))[0]
             how["columns"] = [name for name, size in error.sizes.items() if size == usual]
@@ -131,7 +131,7 @@ def _numbers(path: Path, how: dict[str, Any]) -> tuple[Experiments, list[str]]:
 
 
 def _opened(path: Path, how: Mapping[str, Any]) -> Experiments:
-    """A file by experiment, also one in which time starts over, which `read` refuses."""
+    """Read a file by experiment, also one in which time starts over, which `read` refuses."""
     time, group = how["time"], how["group"]
     found: list[Record] | Record
     try:
@@ -142,7 +142,7 @@ def _opened(path: Path, how: Mapping[str, Any]) -> Experiments:
     except RecordError as error:
         if how["fs"] is not None or group is not None:
             raise
-        # with a rate, any will do, the column of time is a channel as the others
+        # given a rate (any value), the time column is read as a channel
         record = read(path, **{**how, "fs": 1.0})
         column = next((name for name in record.names if name == time or (time is None and is_time_name(name))), None)
         if column is None:
@@ -150,7 +150,7 @@ def _opened(path: Path, how: Mapping[str, Any]) -> Experiments:
         try:
             return sort_rows(Record(record.channels, None, record.units, record.name), column)
         except RecordError:
-            raise error from None  # which names the row of the file
+            raise error from None  # the first error names the row of the file
 
 
 @np.errstate(all="ignore")  # of huge and tiny numbers
@@ -185,7 +185,7 @@ def _described(experiments: Experiments, name: str, reading: Reading) -> RecordI
     rates = [record for record in records if record.fs is not None]
     checks = _checks(records, guess)
     reading = _completed(reading, experiments, checks)
-    # in rad these angles would turn to and fro by whole turns
+    # angles without a unit beyond -2 pi and 2 pi: in rad they would turn back and forth by whole turns
     whole = {key for key, one in channels.items() if one.least < -2.0 * math.pi and one.greatest > 2.0 * math.pi}
     turning = [key for key in moving if clues[key].angle and not channels[key].unit and key in whole]
     reading = replace(reading, units={**reading.units, **dict.fromkeys(turning, "deg")})
@@ -221,7 +221,7 @@ def _described(experiments: Experiments, name: str, reading: Reading) -> RecordI
 
 
 def _levels(channels: Mapping[str, ChannelInfo]) -> set[str]:
-    """Levels of a liquid that are above 0 throughout: outflow goes with their root."""
+    """Names of liquid levels above 0 throughout: outflow is proportional to their square root."""
     return {name for name, one in channels.items() if names_level(name) and one.least > 0.0}
 
 
@@ -244,7 +244,7 @@ def _without_copies(experiments: Experiments) -> tuple[Experiments, dict[str, st
 
 
 def _completed(reading: Reading, experiments: Experiments, checks: Sequence[Finding]) -> Reading:
-    """How to read a file again, with what was found out about its time, experiments, signs and exchanged columns."""
+    """Options for reading a file again, with the time, experiments, signs and exchanged columns that were found."""
     records = experiments.records
     units, known = dict(reading.units), records[0].units
     for finding in checks:
@@ -267,7 +267,7 @@ def _completed(reading: Reading, experiments: Experiments, checks: Sequence[Find
 
 
 def _used(link: Link, guess: Guess) -> bool:
-    """Whether a link is between neighbours of a chain."""
+    """Whether a link agrees with a chain: the distance of its channels there is its order."""
     for chain in guess.chains:
         if link.below in chain and link.above in chain:
             return chain.index(link.above) - chain.index(link.below) == link.order
@@ -275,7 +275,7 @@ def _used(link: Link, guess: Guess) -> bool:
 
 
 def _checks(records: Sequence[Record], guess: Guess) -> list[Finding]:
-    """What channels say of each other, of the longest experiment; clipping is looked for elsewhere."""
+    """Findings of `check_record` in the longest experiment, without clipping, which `find_bad` looks for."""
     record = max(records, key=lambda one: one.n)
     if record.n > CHECKED:
         first = (record.n - CHECKED) // 2
@@ -286,7 +286,7 @@ def _checks(records: Sequence[Record], guess: Guess) -> list[Finding]:
 
 
 def proposal_for_all(found: Sequence[RecordInfo]) -> Proposal | None:
-    """The command for all files; None for one, or where channels, roles or the way to read them differ."""
+    """The command for all files; None for a single file, or if roles or options for reading differ."""
     first = found[0]
     alike = [(one.guess.chains, one.guess.inputs, replace(one.reading, files=())) for one in found]
     if len(found) < 2 or any(one != alike[0] for one in alike):
@@ -307,7 +307,7 @@ def copies_among(found: Sequence[RecordInfo]) -> list[str]:
 # --- what was noticed, a sentence each ------------------------------------------------------------------------------
 
 
-# Units of time in words, where these are not the unit with an s.
+# Plurals of units of time that are not the unit with an s.
 DURATIONS = {"d": "days", "h": "hours", "min": "minutes"}
 
 
@@ -346,7 +346,7 @@ def _on_experiments(found: RecordInfo) -> Iterator[str]:
 
 
 def _on_parts(found: RecordInfo) -> Iterator[str]:
-    """Whether what looks like one experiment may be several: time jumps, or the motion begins again from rest."""
+    """A finding if one experiment may be several: time jumps, or the motion begins again from rest."""
     record = found.experiments.records[0]
     names = [name for chain in found.guess.chains if len(chain) == 3 for name in chain if name is not None]
     peaks = [power.peak for name in names if (power := found.channels[name].spectrum) is not None and power.peak > 0.0]

@@ -1,8 +1,8 @@
-"""Which channel is the derivative of another, which one a first-order state, which one drives a motion.
+"""Search for channels that are derivatives of others, first-order states, or inputs that drive a motion.
 
 Derivatives are found from spectra of both channels (`bayeq.records.consistency`), states of first order and inputs by
 least squares on integrals: the change of a channel over a window is the integral of its rate, so that an equation of
-motion, integrated over windows, needs no derivative of what is measured. What is fitted here decides a role, no result.
+motion, integrated over windows, needs no derivative of measured channels. These fits decide roles, not results.
 """
 
 from __future__ import annotations
@@ -21,48 +21,48 @@ from bayeq.records.consistency import Frames, Relation, derivative_name, relate,
 from bayeq.records.findings import stated_gain
 from bayeq.records.record import with_samples
 
-# Channels are compared on at most this many rows, the middle ones, of a faster record after block means with this many
-# to a period of the fastest channel: a filter that is alike for all leaves a derivative a derivative.
+# Channels are compared on at most ROWS rows in the middle. Longer records are first averaged over blocks, at least
+# PER_PERIOD per period of the fastest channel: the same filter on all channels keeps derivatives derivatives.
 ROWS = 16_384
 PER_PERIOD = 16.0
 
-# Missing samples are interpolated in a channel that has more than this share of them.
+# Missing samples are interpolated in a channel of which more than this share of the samples is present.
 MOSTLY = 0.8
 
-# More channels than these are not compared, each with each: that would take seconds.
+# Maximum number of channels that are compared in pairs: more would take seconds.
 MOST_CHANNELS = 16
-# Nor are differences of accelerations, where with the displacements that they may belong to there are more.
+# Maximum number of combinations of a displacement and a difference of two accelerations that are compared.
 MOST_PAIRS = 60
 
-# A channel is the derivative of another if a sign and a delay explain this share of what they have in common, this
-# share of its power is common (the square of the coherence), and it is not later or earlier than this many rows.
+# A channel is the derivative of another if sign and delay explain at least LEAST_FIT of their coherent part, their
+# squared coherence is at least LEAST_COHERENCE, and the delay is at most MOST_DELAY rows either way.
 LEAST_FIT = 0.9
 LEAST_COHERENCE = 0.6
 MOST_DELAY = 3.0
 
-# ... and the gain is that of the units, or, where they are not known, of units that are often mixed, within a factor.
-# Of channels whose names say nothing either it is nearer: an input that is integrated moves as a derivative, too.
+# The gain must be that of the units, or of often mixed units if they are unknown, within a factor NEAR; within NAMELESS
+# for channels without a meaningful name, because an input is proportional to the derivative of what integrates it.
 NEAR, NAMELESS = 1.25, 1.1
 MIXED = (1.0, 1e-3, 1e3, 1e-2, 1e2, 9.80665, 9806.65, 2.0 * math.pi, 180.0 / math.pi)
 
-# Any gain is accepted of channels that move over a band this wide: the factor of the derivative's mean frequency to
-# that of the motion. A motion of one frequency is the derivative of anything that has it.
+# Any gain is accepted if the derivative's mean frequency exceeds that of the motion by this factor, as in a broad band:
+# motions of a single common frequency always fit as derivatives of each other.
 BROAD = 1.1
-# Noise may bring the frequency of a derivative this near to that of the motion, or below.
+# Minimum ratio of a derivative's mean frequency to that of the motion: below 1, because of noise.
 NOT_SLOWER = 0.97
 
-# A channel is a state of first order if the channels and their products explain this share of its changes; that of a
-# coordinate needs its rate. Smooth channels, as of a controller, are explained by sums of each other alone: for one
-# state at least products leave less by this factor.
+# A channel is a first-order state if the channels and their products explain this share of its changes (a coordinate
+# would need its rate). For at least one state the products must reduce the residual variance by the factor CLEARLY:
+# smooth channels, as of a controller, are explained by linear sums of each other.
 EXPLAINED = 0.8
 CLEARLY = 2.0
 MOST_STATES = 8
 LEAST_ROWS = 16
 
-# A channel drives a motion if it explains this share of what the states and their products leave.
+# A channel drives a motion if it explains this share of the residual of the states and their products.
 DRIVES = 0.5
 
-# Windows are this part of the period of the fastest channel.
+# Length of the windows as a share of the period of the fastest state.
 WINDOW = 1 / 8
 
 
@@ -74,9 +74,9 @@ class Link:
     above: str  # its derivative
     order: int  # 1 or 2
     gain: float  # above = gain times the derivative by seconds of below; negative where the sign is reversed
-    delay: float  # of `above` [s]
-    fit: float  # share of what the channels have in common that this explains
-    expected: float | None  # the gain that their units say
+    delay: float  # delay of `above` [s]
+    fit: float  # share of the coherent part of both channels that sign and delay explain
+    expected: float | None  # the gain that their units imply
 
     @property
     def stands_for(self) -> str:
@@ -85,12 +85,12 @@ class Link:
 
     @property
     def usual(self) -> bool:
-        """Whether the gain is that of the units, or of units that are often mixed, closely."""
+        """Whether the gain is within a factor NAMELESS of that of the units, or of often mixed units."""
         return _nearest(abs(self.gain), self.expected) < math.log(NAMELESS)
 
 
 def short_record(records: Sequence[Record], channels: Mapping[str, ChannelInfo]) -> Record:
-    """The longest record at even steps of time, averaged over blocks and cut so that comparisons are quick."""
+    """The longest record at even steps of time, averaged over blocks and cut to ROWS rows if it is longer."""
     record = _even(max(records, key=lambda one: one.n))
     peaks = [info.spectrum.peak for info in channels.values() if info.spectrum is not None]
     if record.fs is None or not peaks or not record.is_uniform() or record.n <= ROWS:
@@ -106,7 +106,7 @@ def short_record(records: Sequence[Record], channels: Mapping[str, ChannelInfo])
 
 
 def _even(record: Record) -> Record:
-    """The record at even steps of time, interpolated alike in all channels, also where a few samples are missing."""
+    """The record at even time steps: all channels are interpolated alike, also where a few samples are missing."""
     step = record.dt
     if record.time is None or step is None:
         return record
@@ -147,9 +147,10 @@ def find_links(record: Record, names: Sequence[str]) -> list[Link]:
 def absolute(
     record: Record, displacements: Sequence[str], accelerations: Sequence[str], bases: Sequence[str]
 ) -> dict[str, tuple[str, str]]:
-    """Accelerations of which another one, of a base, has to be taken to make the second derivative of a displacement.
+    """Absolute accelerations, each with the displacement and the base acceleration that belong to it.
 
-    Each with that displacement and the base. Clearly more has to be explained than by either acceleration alone.
+    Acceleration minus base acceleration is the second derivative of the displacement, and fits it clearly better than
+    either of them alone.
     """
     frames = uniform_frames(record.time)
     found: dict[str, tuple[str, str]] = {}
@@ -188,7 +189,7 @@ def _mean_frequency(values: Floats) -> float:
 
 
 def _nearest(gain: float, expected: float | None) -> float:
-    """How far a gain is from what units may make it, as a logarithm."""
+    """Distance of ln gain from that of the `expected` gain, or else from that of the nearest often mixed units."""
     if expected is not None:
         return abs(math.log(gain / expected))
     return min(abs(math.log(gain * factor)) for size in MIXED for factor in (size, 1.0 / size))
@@ -203,13 +204,13 @@ def _is_derivative(relation: Relation, expected: float | None, faster: float, fr
 
 
 def _doubt(relation: Relation, expected: float | None, frames: Frames) -> float:
-    """Small for a derivative of the right sign and gain, without delay."""
+    """Penalty of a relation: small for a derivative of the right sign and gain, without delay."""
     wrong = min(_nearest(relation.gain, expected), 3.0) + (1.0 if relation.sign < 0 else 0.0)
     return wrong + abs(relation.delay) / frames.dt + 5.0 * (1.0 - relation.fit)
 
 
 def correlations(record: Record, names: Sequence[str]) -> dict[frozenset[str], float]:
-    """Of each two channels the largest correlation over all lags, without its sign; none without even time."""
+    """Largest absolute correlation over all lags of each pair of channels; empty without even time."""
     if uniform_frames(record.time) is None:
         return {}
     length = 2 * record.n
@@ -221,7 +222,7 @@ def correlations(record: Record, names: Sequence[str]) -> dict[frozenset[str], f
 
 
 def rough_channels(record: Record, names: Sequence[str]) -> set[str]:
-    """Channels of which more than half is gone from one row to the next, as of noise."""
+    """Channels with a lag-1 autocorrelation below 0.5, as of noise."""
     return {name for name, values in _scaled(record, names).items() if values[1:] @ values[:-1] < 0.5 * len(values)}
 
 
@@ -229,7 +230,7 @@ def rough_channels(record: Record, names: Sequence[str]) -> set[str]:
 
 
 def first_order(record: Record, names: Sequence[str], others: Sequence[str]) -> dict[str, float]:
-    """Channels whose changes they explain themselves, with inputs `others`, each with the share."""
+    """First-order states: channels whose changes these channels and inputs `others` explain, each with the share."""
     scaled = _scaled(record, (*names, *others))
     states = [name for name in names if name in scaled]
     if not states or record.time is None or record.n < LEAST_ROWS or len(scaled) > MOST_STATES:
@@ -253,7 +254,7 @@ def first_order(record: Record, names: Sequence[str], others: Sequence[str]) -> 
 
 
 def drivers(record: Record, chain: Sequence[str | None], candidates: Sequence[str]) -> dict[str, float]:
-    """Candidates that explain what the states of a chain (x, v, a) leave of its motion, each with the share."""
+    """Candidates that explain the residual of a chain's own dynamics (x, v, a), each with the share it explains."""
     displacement, velocity, acceleration = chain
     states = [name for name in (displacement, velocity) if name is not None]
     scaled = _scaled(record, [*states, *filter(None, [acceleration]), *candidates])
@@ -314,6 +315,6 @@ def _integrals(terms: Sequence[Floats], time: Floats, width: int) -> Floats:
 
 
 def _left(D: Floats, y: Floats) -> float:
-    """Sum of squares that least squares leave."""
+    """Residual sum of squares of a least-squares fit."""
     rest = y - D @ np.linalg.lstsq(D, y, rcond=None)[0]
     return float(rest @ rest)

@@ -1,4 +1,4 @@
-"""Which channel is displacement, velocity, acceleration or force: from units, names, and what derives from what."""
+"""Roles of channels (displacement, velocity, acceleration or force), from units, names and derivative links."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fractions import Fraction
 from bayeq.inspection.links import CLEARLY, Link
 from bayeq.records.names import FORCES, in_si, parse_unit
 
-# What a channel is: the derivative of its coordinate, 0 to 2, or an input, a reference, a state of first order.
+# Order of a channel: that of the derivative of its coordinate, 0 to 2, or input, reference, first-order state.
 INPUT, REFERENCE, STATE = -1, -2, -3
 TITLES = {0: "displacement", 1: "velocity", 2: "acceleration", INPUT: "force or input"}
 
@@ -21,8 +21,8 @@ ANGLES = {"rad", "mrad", "deg", "°", "rev", "rpm"}
 DEGREES = {"deg", "°"}
 WARMTH = {"°C", "K", "degC", "°F", "degF"}
 
-# Words of names in English, German, French, Spanish and Italian, in small letters without accents. Quantities say what
-# is measured; else sensors and places do; else symbols, of which single letters count as the first word alone.
+# Words of names in English, German, French, Spanish and Italian, in small letters without accents. Quantities take
+# precedence over sensors and places, these over symbols; a single letter counts only as the first word.
 LEVELS = "level niveau pegel fullstand fuellstand"
 QUANTITIES: Mapping[int, str] = {
     0: "disp displ displacement pos position angle deflection stroke travel weg auslenkung winkel lage ausschlag hub"
@@ -50,9 +50,9 @@ SYMBOLS: Mapping[int, str] = {
 }
 TABLES = (QUANTITIES, SENSORS, SYMBOLS)
 TIERS = tuple({word: order for order, words in table.items() for word in words.split()} for table in TABLES)
-# Words beside them: what the motion is to follow, or its error; commands, which with the unit of a motion are wanted
-# too; of one motor's inputs the measured force is proposed, else the current, else what commands them. Of places, also
-# at the beginning of longer words: what is around; what moves a base, whose acceleration is an input.
+# KINDS: words for references and errors; for commands, which are references if they command a motion or a state; for
+# measured forces; for currents. Of one motor's inputs the force is proposed, else the current, else the command.
+# PLACES, also at the beginning of longer words: surroundings; a moving base, whose acceleration is an input.
 KINDS = (
     "ref reference soll setpoint target desired demand consigne fuhrungs vorgabe error err fehler abweichung"
     " regelabweichung ecart erreur",
@@ -69,26 +69,26 @@ PLACES = (
 COMPOUND = 5
 SENSOR_ENDS = re.compile(r"(?<=\w{3})(mess)?(aufnehmer|sensor|geber|dose|zelle|wert|signal|grosse)$")
 
-#: The largest correlation over all lags, by two channels.
+#: The largest correlation over all lags, by pair of channels.
 Alike = Mapping[frozenset[str], float]
-# Channels are the same signal, but for a lag, from this correlation on; inputs of one motor are loosely so.
+# Correlations from which two channels are the same signal but for a lag, and two inputs belong to one motor.
 SAME, ONE_INPUT = 0.98, 0.5
-# A force that fits a derivative so closely is none.
+# A channel named like a force may be an acceleration if its fit to a second derivative exceeds this.
 EXACTLY = 0.999
 
 
 @dataclass(frozen=True, slots=True)
 class Clue:
-    """What a channel's unit and name say."""
+    """Role of a channel according to its unit and name."""
 
-    order: int | None  # derivative that it is of its coordinate, or `INPUT`, `REFERENCE`, `STATE`
-    why: str  # as words
-    by_unit: bool  # whether the unit says it, which is surer than a name
-    index: str  # what tells it from others of its kind: numbers in its name, or else its other words
+    order: int | None  # order of the derivative of its coordinate, or `INPUT`, `REFERENCE`, `STATE`
+    why: str  # the reason in words
+    by_unit: bool  # whether the order comes from the unit, which is surer than a name
+    index: str  # distinguishes channels of one kind: the numbers in its name, or else its other words
     angle: bool  # whether it is an angle, by its unit or name
-    degrees: bool  # whether it is one in degrees
-    symbol: bool = False  # whether only a symbol says it, which is less sure than a word
-    rank: int = 0  # of an input: 0 measured force, 1 current, 2 command
+    degrees: bool  # whether it is an angle in degrees
+    symbol: bool = False  # whether the order comes from a symbol, which is less sure than a word
+    rank: int = 0  # rank of an input: 0 measured force, 1 current, 2 command
 
 
 @dataclass(frozen=True)
@@ -99,11 +99,11 @@ class Guess:
     chains: tuple[tuple[str | None, ...], ...]
     inputs: tuple[str, ...]
     undecided: tuple[str, ...]  # channels that are not used; those without a reason may be anything
-    reasons: Mapping[str, str]  # why, by channel
-    questions: tuple[str, ...] = ()  # what the file leaves open, a sentence each
+    reasons: Mapping[str, str]  # the reason for its role, by channel
+    questions: tuple[str, ...] = ()  # open questions, a sentence each
 
     def driven_by(self, shares: Mapping[str, float], alike: Alike) -> Guess:
-        """The same with undecided channels as inputs, by the share of the motion that each explains."""
+        """The guess with undecided channels as inputs, given the share of the residual motion that each explains."""
         reasons, questions = dict(self.reasons), list(self.questions)
         for name, share in shares.items():
             rivals = [
@@ -120,19 +120,19 @@ class Guess:
         return Guess(self.chains, (*self.inputs, *inputs), undecided, reasons, tuple(questions))
 
     def exchanged(self, p: str, q: str) -> Guess:
-        """The same with two channels of a chain in the place of each other, where it is p that derives from q."""
+        """The guess with channels p and q of a chain swapped, because p is the derivative of q."""
         other = {p: q, q: p}
         chains = tuple(tuple(name and other.get(name, name) for name in chain) for chain in self.chains)
         reasons = {**self.reasons, q: f"{p} derives from it", p: f"derives from {q}, against their units"}
         return replace(self, chains=chains, reasons=reasons)
 
     def without_absolute(self, of_base: Mapping[str, tuple[str, str]]) -> Guess:
-        """The same with absolute accelerations that are not used, each of a displacement against a base."""
+        """The guess with absolute accelerations as undecided; `of_base` gives displacement and base of each."""
         said = {q: f"is absolute: {q} - {base} is the second derivative of {p}" for q, (p, base) in of_base.items()}
         return replace(self, undecided=(*self.undecided, *said), reasons={**self.reasons, **said})
 
     def role_of(self, name: str) -> str:
-        """Role of a channel as a word; empty where it is not decided."""
+        """Role of a channel as a word; empty if it is undecided."""
         if name in self.inputs:
             return TITLES[INPUT]
         for chain in self.chains:
@@ -142,10 +142,10 @@ class Guess:
 
 
 def clues_of(units: Mapping[str, str]) -> dict[str, Clue]:
-    """What the units and names of the channels of a record say.
+    """Read the units and names of the channels of a record.
 
-    What all names begin with is left out where it says nothing, as rig of rig_x and rig_F, or is a letter before names
-    of other kinds. Names of a recorder's inputs, Voltage_0 and Voltage_1, say nothing at all.
+    A prefix of all names is ignored if it implies no role, as rig of rig_x and rig_F, or is a letter before names of
+    different roles. Names of a recorder's inputs, such as Voltage_0 and Voltage_1, imply no role at all.
 
     >>> {name: clue.order for name, clue in clues_of({"rig_x": "", "rig_F": ""}).items()}
     {'rig_x': 0, 'rig_F': -1}
@@ -214,8 +214,8 @@ def _order_of_unit(unit: str) -> int | None:
 
 
 def _parts(name: str) -> list[str]:
-    """Words of a name in small letters without accents: divided at underscores, numbers, where small letters end, and
-    where German says what is wanted (soll) or is (ist)."""
+    """Words of a name in small letters without accents, divided at underscores, at numbers, between small and capital
+    letters, and around the German words soll (wanted) and ist (actual)."""
     plain = "".join(c for c in unicodedata.normalize("NFKD", name) if not unicodedata.combining(c))
     divided = re.sub(r"([a-z])([A-Z])", r"\1_\2", plain).casefold()
     divided = re.sub(r"^i_(?=[a-z])", "current_", divided)  # i_q of a motor
@@ -225,7 +225,7 @@ def _parts(name: str) -> list[str]:
 
 
 def _order_of_name(parts: Sequence[str]) -> tuple[int | None, int, list[str]]:
-    """What the most telling word of a name says, its tier, and the other words."""
+    """Order that the most significant word of a name implies, the tier of that word, and the other words."""
     for tier, table in enumerate(TIERS):
         said = [(k, order) for k, part in enumerate(parts) if (order := _said(part, table, tier, k)) is not None]
         if said:
@@ -235,7 +235,7 @@ def _order_of_name(parts: Sequence[str]) -> tuple[int | None, int, list[str]]:
 
 
 def _said(part: str, table: Mapping[str, int], tier: int, place: int) -> int | None:
-    """What a word says: by itself, with an axis behind it, or as a part of a longer one."""
+    """Order that a word implies: by itself, with an axis behind it, or as the beginning or end of a longer word."""
     if part in table or tier == 2:
         return table.get(part) if len(part) > 1 or place == 0 else None
     if len(part) > 3 and part[-1] in "xyz" and part[:-1] in table:
@@ -263,10 +263,10 @@ def guess_roles(
     alike: Alike,
     rough: set[str],
 ) -> Guess:
-    """Put channels that move together to chains and inputs.
+    """Assign channels that move to chains and inputs.
 
-    By `clues`, what units and names say; `links`, what derives from what, the surest first; `first`, channels that the
-    others explain as states of first order, with the share; how much two are `alike`; and which are `rough` as noise.
+    `clues` are the roles by unit and name; `links` the derivatives found, the surest first; `first` the share of each
+    first-order state that channels explain; `alike` the correlations; `rough` the channels that look like noise.
     """
     reasons: dict[str, str] = {}
     questions: list[str] = []
@@ -317,7 +317,7 @@ def guess_roles(
 
 
 def _exchanged(name: str, links: Sequence[Link], clues: Mapping[str, Clue]) -> list[str]:
-    """A question where an input is clearly more a second derivative than the acceleration is, by names alone."""
+    """Questions where an input fits a second derivative clearly better than an acceleration known only by name."""
     own = [link for link in links if link.above == name and link.order == 2 and not clues[name].by_unit]
     return [
         f"{name} is {link.stands_for} more closely than {other.above} is: are their names exchanged?"
@@ -332,7 +332,7 @@ def _exchanged(name: str, links: Sequence[Link], clues: Mapping[str, Clue]) -> l
 
 
 def _agreeing(links: Sequence[Link], clues: Mapping[str, Clue]) -> list[tuple[int, Link]]:
-    """Links and how they fit to what names say: -1 agree, 0 unknown, 1 against names; none against units."""
+    """Links with a grade: -1 if names agree, 0 if unknown, 1 if names disagree; without links against units."""
     counts = Counter(clue.order for clue in clues.values())
 
     def contradiction(link: Link) -> int:
@@ -355,7 +355,7 @@ def _agreeing(links: Sequence[Link], clues: Mapping[str, Clue]) -> list[tuple[in
 
 
 def _clear(graded: Sequence[tuple[int, Link]], questions: list[str]) -> list[Link]:
-    """Links without those that have a rival that explains about as much; these are a question."""
+    """Links that have no rival of about the same fit; pairs of rivals are added to `questions`."""
     doubtful: list[Link] = []
     for grade, link in graded:
         rivals = [
@@ -376,7 +376,7 @@ def _clear(graded: Sequence[tuple[int, Link]], questions: list[str]) -> list[Lin
 
 
 def _runs(links: Sequence[Link], reasons: dict[str, str]) -> list[list[str | None]]:
-    """Channels that follow each other as derivatives; each belongs to one run."""
+    """Runs of channels, each the derivative of the one before; a channel belongs to one run."""
     up: dict[str, Link] = {}
     down: dict[str, Link] = {}
     for link in links:
@@ -406,7 +406,7 @@ def _reaches(up: Mapping[str, Link], start: str, end: str) -> bool:
 
 
 def _placed(run: list[str | None], clues: Mapping[str, Clue]) -> tuple[str | None, ...]:
-    """A run as a chain of second order: it begins at the derivative that most of its channels' clues say."""
+    """A run as a chain of second order, starting at the derivative that most clues of its channels imply."""
     votes = [order - k for k, name in enumerate(run) if name is not None and (order := clues[name].order) in (0, 1, 2)]
     shift = max(sorted(set(votes)), key=votes.count) if votes else 0
     shift = min(max(shift, 0), 3 - len(run))
@@ -421,14 +421,14 @@ def _chains(
     compared: bool,
     reasons: dict[str, str],
 ) -> list[tuple[str | None, ...]]:
-    """The chains that were found, completed by units and names, and those of the channels that are left."""
-    # v and w are many things: without a link, where one could be found, they are no velocities
+    """The chains of links, completed by units and names, and new chains of the remaining channels."""
+    # symbols such as v and w are ambiguous: velocities only with a link, if links could be found
     motion = [
         n for n in rest if clues[n].order in (0, 2) or (clues[n].order == 1 and not (compared and clues[n].symbol))
     ]
     states = [n for n in rest if clues[n].order == STATE and not found and not motion]
-    # beside a motion by its unit or a word a channel without either is a trigger or the like, whatever explains it; one
-    # symbol that others explain may be a position under control as well
+    # next to a motion known by unit or word, a channel without either is a trigger or the like, even if explained; a
+    # single symbol that others explain may also be a controlled position
     explained = [n for n in rest if n in first and not clues[n].by_unit and clues[n].order != STATE]
     surer = found or any(not clues[n].symbol and n not in explained for n in motion)
     if not surer and (len(explained) > 1 or all(clues[name].order is None for name in explained)):
@@ -455,8 +455,8 @@ def _chains(
             indices.append(index)
         if fits:
             fits[0][order] = name
-    # what nothing derives from is a coordinate where there are no surer ones: beside them it is another sensor, and a
-    # velocity alone is none, but for one by its unit
+    # a channel without a derivative is a coordinate only if there are no surer ones, otherwise another sensor; a
+    # velocity alone is a coordinate only by its unit
     sure = states or any(chain[0] is not None and chain != [chain[0], None, None] for chain in chains) or found
     by_unit = [[n if k != 1 or n is None or clues[n].by_unit else None for k, n in enumerate(c)] for c in chains]
     lone = next((k for k in (0, 2, 1) if any(chain[k] is not None for chain in by_unit)), 2)

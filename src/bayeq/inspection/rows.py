@@ -1,4 +1,4 @@
-"""The rows of a file: time, experiments and gaps; suspects of bad samples, on which `find_bad_samples` decides."""
+"""The rows of a file: time, experiments and gaps; suspect rows, which `find_bad_samples` judges."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Ints = NDArray[np.intp]
 
 # Words for time, and for the number of an experiment, as parts of column names in the usual languages.
 TIME_WORDS = ("time", "zeit", "temps", "tiempo", "tempo", "tijd", "year", "jahr", "date", "stamp", "second", "sekunde")
-# Times that are counted in whole numbers: words of a name, with an s or not.
+# Words in the names of columns that count time in whole numbers, with or without a plural s.
 COUNTED = (
     "day week month quarter hour minute tag tage woche wochen monat monate quartal jahre stunde stunden minuten jour"
     " semaine mois heure annee année an dia día semana mes hora año ano giorno settimana mese ora anno"
@@ -35,31 +35,32 @@ COUNTED = (
 STEPS_NAMED = frozenset(map(str.casefold, STEP_NAMES))
 TRIAL_WORDS = ("trial", "run", "experiment", "exp", "test", "group", "segment", "versuch", "messung", "essai", "set")
 
-# An experiment has at least this many rows: what changes more often is a signal.
+# Minimum number of rows of an experiment: a column that changes more often is a signal.
 LEAST_ROWS = 20
 
-# A channel rests in a stretch of a period where it moves this share of the usual; a motion lasts this many stretches.
+# A channel rests in a stretch of one period if its standard deviation is below REST of the 90 % quantile over all
+# stretches; a motion lasts at least MOVES stretches.
 REST, MOVES = 0.05, 4
 
-# Fewer rows do not show that a column rises steadily.
+# Minimum number of rows to judge that a column rises steadily.
 LEAST_RISING = 8
 
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """A step of time that is longer than the usual one."""
+    """A time step of more than 2.5 median steps."""
 
     row: int  # last row before it, counted from 1
-    seconds: float  # its length
-    long: bool  # whether it is more than 20 usual steps
+    seconds: float  # length of the step
+    long: bool  # whether it is more than 20 median steps
 
 
 @dataclass(frozen=True, slots=True)
 class Experiments:
     """The rows of a file sorted by experiment."""
 
-    records: tuple[Record, ...]  # with time where there is one, without the columns of time and of numbers
-    time: str | None = None  # column taken for time although nobody said so; None where the record has its time
+    records: tuple[Record, ...]  # with time if known, without the columns of time and of experiment numbers
+    time: str | None = None  # column taken for time; None if the record has a time already
     column: str | None = None  # the column that numbers the experiments
     counter: str | None = None  # a column that counts the rows
     step: str | None = None  # a constant column that is the time step, of a file without time
@@ -67,7 +68,7 @@ class Experiments:
 
 
 def sort_rows(record: Record, time: str | None = None) -> Experiments:
-    """Find the columns of time (or take that of this name) and of experiments, and divide the rows."""
+    """Find the time column (or take `time`) and the column of experiments, and divide the rows by experiment."""
     counter = step = unit = None
     clock: Floats | None = record.time
     if clock is None:
@@ -115,7 +116,7 @@ def _counts_rows(values: Floats) -> bool:
 
 
 def _doubt(record: Record, name: str) -> int:
-    """How surely a column is time: 0 for its unit, 1 for its name, 2 for neither."""
+    """Doubt that a column is time: 0 if its unit is one of time, 1 if its name is, 2 for neither."""
     if record.units.get(name) in SECONDS:
         return 0
     folded = name.casefold()
@@ -137,7 +138,7 @@ def _rises(values: Floats) -> bool:
 
 
 def _trial_column(record: Record, restarts: Ints, clock: Floats | None, others: set[str | None]) -> str | None:
-    """The column of whole numbers that change where time starts over or has a long gap, or whose name says so."""
+    """The column of whole numbers that change where time starts over or has a long gap, or named like trials."""
     for name, values in record.channels.items():
         if name in others or not np.isfinite(values).all() or not (values == np.round(values)).all():
             continue
@@ -158,7 +159,7 @@ def _trial_column(record: Record, restarts: Ints, clock: Floats | None, others: 
 
 
 def gaps_of(records: Sequence[Record]) -> Iterator[Gap]:
-    """Steps of time of more than 2.5 usual ones, in all records; rows are counted over all of them."""
+    """Time steps of more than 2.5 median steps in each record; rows are counted over all records."""
     first = 0
     for record in records:
         if record.time is not None and record.n > 2:
@@ -170,7 +171,7 @@ def gaps_of(records: Sequence[Record]) -> Iterator[Gap]:
 
 
 def starts_from_rest(record: Record, names: Sequence[str], period: float) -> list[int]:
-    """Rows, from 1, from which channels move after all rested for a period [s]: perhaps another experiment."""
+    """Rows, from 1, at which channels move again after all rested for a `period` [s]: perhaps another experiment."""
     step = record.dt
     width = max(LEAST_ROWS, math.ceil(period / step)) if step else 0
     channels = [record[name] for name in names if np.isfinite(record[name]).all()]
@@ -190,8 +191,8 @@ def starts_from_rest(record: Record, names: Sequence[str], period: float) -> lis
 #: Rows that are bad, counted from 1, by channel and kind ("spikes", "stuck", "clipped").
 Bad = dict[str, dict[str, list[int]]]
 
-# Files of up to WHOLE rows and MANY channels are looked at whole, of larger ones MOST rows: windows, with a margin by
-# which their ends are judged, around third differences or runs of equal samples beyond SUSPECT times the usual ones.
+# Files of up to WHOLE rows and MANY channels are searched whole, larger ones on at most MOST rows: in windows, extended
+# by a margin, with third differences beyond SUSPECT times their median or with long runs of equal samples.
 WHOLE, MANY, MOST = 20_000, 16, 8_000
 WINDOW, MARGIN = 1_600, 200
 SUSPECT = 30.0
@@ -199,7 +200,7 @@ LONG_RUN = 10
 
 
 def find_bad(records: Sequence[Record], guess: Guess, names: Sequence[str]) -> tuple[Bad, int]:
-    """Bad samples of channels that move in a file's experiments, and how many rows were searched beside clipping."""
+    """Bad samples of channels `names`, and the number of rows searched for anything but clipping."""
     found: Bad = {}
     total = sum(record.n for record in records)
     motion = {name for chain in guess.chains for name in chain}
@@ -209,7 +210,7 @@ def find_bad(records: Sequence[Record], guess: Guess, names: Sequence[str]) -> t
             stays = (np.flatnonzero(values == clipping.level) + 1).tolist()
             found.setdefault(name, {}).setdefault("clipped", []).extend(stays)
     timed = all(record.time is not None for record in records)
-    # a square of what is larger is infinite, of what is smaller zero
+    # squares of larger values overflow, those of smaller ones underflow
     sizes = {name: max(float(np.nanmax(np.abs(r[name]), initial=0.0)) for r in records) for name in names}
     every, names = names, [name for name in names if 1 / LARGEST <= sizes[name] <= LARGEST]
     if not names or not timed:
@@ -223,7 +224,7 @@ def find_bad(records: Sequence[Record], guess: Guess, names: Sequence[str]) -> t
             (bad,) = find_bad_samples([record.slice(a, b)], _roles(guess, names, suspects))
             for name, one in bad.items():
                 for kind, rows in one.items():
-                    if kind != "clipped":  # which were looked for everywhere
+                    if kind != "clipped":  # clipping was searched in all rows
                         place = found.setdefault(name, {}).setdefault(kind, [])
                         found[name][kind] = sorted({*place, *(np.flatnonzero(rows) + first + a + 1).tolist()})
         first += record.n
@@ -237,7 +238,7 @@ def _in_order(found: Bad, names: Sequence[str]) -> Bad:
 
 
 def _roles(guess: Guess, names: Sequence[str], suspects: set[str]) -> Roles:
-    """Chains and single channels that have suspects among them."""
+    """Roles of the chains that contain suspects, and the other suspects as inputs."""
     chains = [chain for chain in guess.chains if len(chain) == 3 and set(filter(None, chain)) <= set(names)]
     alone = [name for name in names if name in suspects and not any(name in chain for chain in chains)]
     texts = [":".join(name or "" for name in chain) for chain in chains if suspects.intersection(filter(None, chain))]
@@ -258,10 +259,10 @@ def _windows(record: Record, names: Sequence[str], most: int) -> list[tuple[int,
 
 
 def _suspicious(values: Floats) -> list[tuple[int, float]]:
-    """Rows of sudden changes and of long runs of equal samples, and how far they are from the usual."""
+    """Rows of sudden changes and of long runs of equal samples, each with its size relative to the usual one."""
     third = np.abs(np.diff(values, 3))
     third[~np.isfinite(third)] = 0.0
-    usual = float(np.median(third[:: max(1, len(third) // 50_000)]))  # of a part: only its size matters
+    usual = float(np.median(third[:: max(1, len(third) // 50_000)]))  # of a subsample: its magnitude is enough
     limit = SUSPECT * usual if usual > 0.0 else np.inf
     rows = np.flatnonzero(third > limit)
     out = [(int(row) + 1, float(third[row]) / usual) for row in rows[:: max(1, len(rows) // 1000)]]

@@ -1,6 +1,6 @@
-"""Compiled functions: `kernel` has numba compile one when it is first called; `compiler` has a cache on disk.
+"""Compiled functions: with `kernel` numba compiles a function when it is first called; `compiler` caches it on disk.
 
-numba takes a while to import, a kernel to be compiled or loaded from the cache: neither happens before it is needed.
+Importing numba, and compiling or loading a kernel, take a while: neither happens before it is needed.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _announcement: list[Callable[[], None]] = []
 
 
 def announce_compiling(tell: Callable[[], None]) -> None:
-    """Call `tell` once, before kernels are compiled: it takes a while."""
+    """Have `tell` called once, before the first kernel is compiled, since that takes a while."""
     _announcement[:] = [tell]
 
 
@@ -28,7 +28,7 @@ def _say_compiling() -> None:
 
 
 class Kernel:
-    """A compiled function; it is called like the one it was made of, and kernels call each other."""
+    """A compiled function, called like the Python function that it was made from; kernels may call each other."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         update_wrapper(self, function)
@@ -36,21 +36,21 @@ class Kernel:
 
     @cached_property
     def dispatcher(self) -> Any:
-        """numba's dispatcher, made at the first call; its attributes are the kernel's too."""
+        """numba's dispatcher, made at the first call; the kernel has its attributes too."""
         from bayeq.kernels.compiler import cached_dispatcher
 
         return cached_dispatcher(self.py_func, _say_compiling)
 
     @cached_property
     def inner(self) -> Any:
-        """The same for kernels that call this one."""
+        """numba's dispatcher for kernels that call this one."""
         from bayeq.kernels.compiler import inner_dispatcher
 
         return inner_dispatcher(self.py_func)
 
     @property
     def _numba_type_(self) -> Any:
-        """What numba takes this kernel for where another one calls it."""
+        """The numba type of this kernel in kernels that call it."""
         return self.inner._numba_type_
 
     def __call__(self, *arguments: Any) -> Any:
@@ -72,9 +72,9 @@ def kernel(function: F | None = None, *, reordered: bool = False, borrowing: boo
     """Have numba compile `function` in nopython mode when it is first called, and cache it on disk.
 
     With `reordered` its sums may be taken in another order and fused with products, which makes long sums many times
-    as fast; NaN and infinities stay what they are. With `borrowing` it makes no arrays, nor views of any, and where
-    another kernel calls it references to those that it is given are not counted, which makes short kernels twice as
-    fast. See `bayeq.kernels.compiler.cached_dispatcher`.
+    as fast; NaN and infinities are still handled. A `borrowing` kernel must create no arrays or views of arrays; where
+    another kernel calls it, references to its arguments are not counted, which makes short kernels twice as fast. See
+    `bayeq.kernels.compiler.cached_dispatcher`.
     """
 
     def made(one: F) -> F:

@@ -1,6 +1,6 @@
-"""How numba compiles kernels, with a cache on disk that follows callees and mends itself.
+"""How numba compiles kernels, with a cache on disk that depends on callees and replaces damaged files.
 
-By itself numba makes every kernel callable from Python and C, and optimises and translates each with all that it calls,
+By default numba makes every kernel callable from Python and C, and optimises and translates each with all its callees,
 so that a kernel three calls down is translated three times and more, and most of the result is never called. Here
 kernels that are called by kernels stay unoptimised LLVM code until they are linked into the one that Python calls.
 
@@ -8,9 +8,9 @@ numba's own file cache looks only at the file of the function itself, so that an
 stale caller behind. Here the key of a kernel is a digest of its code, of the global constants it uses, of the layout of
 the NamedTuples it takes and, recursively, of the kernels it calls: whatever changes the result changes the key.
 
-Both stand on numba's private interfaces, for which speaks (processor seconds of ``bayeq discover`` of 4,000 rows, two
-cores, medians of 4 first and 16 later starts that took turns): 40.1 s at first and 2.7 s later; 61.2 and 3.9 s, and a
-cache five times as large, by ``numba.njit(cache=True)``; 45.5 and 3.2 s by numba's cache with this compiler.
+Both use private interfaces of numba. The gain, in processor seconds of ``bayeq discover`` of 4,000 rows (two cores,
+medians of 4 first and 16 later starts, alternating): 40.1 s at first and 2.7 s later; 61.2 and 3.9 s, and a cache five
+times as large, by ``numba.njit(cache=True)``; 45.5 and 3.2 s by numba's cache with this compiler.
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ OPTIONS = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
 
 class _EntryLibrary(JITCodeLibrary):  # type: ignore[misc]
-    """LLVM code of a kernel that Python calls, with all that it calls."""
+    """LLVM code of a kernel that Python calls, with that of its callees."""
 
     def serialize_using_object_code(self) -> tuple[str, str, tuple[bytes, bytes]]:
-        """Machine code and, in place of the LLVM code, the names that it defines, which numba looks for on loading.
+        """Machine code and, in place of the LLVM code, stubs of its functions, which numba looks up on loading.
 
-        The LLVM code would be parsed at every start, for callers among the kernels: these have an `_InnerLibrary`.
+        numba would parse the LLVM code at every start, for kernels that call this one; but these use `_InnerLibrary`.
         """
         functions = [f for f in self._final_module.functions if not f.is_declaration]
         names = [f.name for f in functions if f.linkage == llvm.Linkage.external]
@@ -52,7 +52,7 @@ class _EntryLibrary(JITCodeLibrary):  # type: ignore[misc]
 
 
 class _InnerLibrary(_EntryLibrary):
-    """LLVM code of a kernel that kernels call: it is optimised and becomes machine code as part of these."""
+    """LLVM code of a kernel that kernels call: it is optimised and becomes machine code as part of its callers."""
 
     def _optimize_final_module(self) -> None:
         pass
@@ -62,17 +62,17 @@ class _InnerLibrary(_EntryLibrary):
         self._finalized = True
 
     def get_pointer_to_function(self, name: str) -> int:
-        """No machine code, no pointer."""
+        """0: without machine code there is no pointer."""
         self._ensure_finalized()
         return 0
 
     @property
     def codegen(self) -> Any:
-        """What `set_env` is called on."""
+        """The object whose `set_env` numba calls."""
         return self
 
     def set_env(self, name: str, env: object) -> None:
-        """Machine code would hold a pointer to its Python environment."""
+        """Does nothing: only machine code holds a pointer to its Python environment."""
 
 
 class _EntryCompiler(Compiler):  # type: ignore[misc]
@@ -97,7 +97,7 @@ def _options(function: Callable[..., Any]) -> dict[str, bool]:
 def inner_dispatcher(function: Callable[..., Any]) -> Any:
     """numba's dispatcher of a function that kernels call.
 
-    A borrowing one has no part in numba's memory management (``_nrt``): its arrays live as long as its caller's.
+    A borrowing function is compiled without numba's memory management (``_nrt``): its caller keeps its arrays alive.
     """
     options = {**OPTIONS, "fastmath": _allowed(function), "_nrt": not _options(function)["borrowing"]}
     return numba.njit(**options, no_cpython_wrapper=True, pipeline_class=_InnerCompiler)(function)
@@ -119,7 +119,7 @@ def _names(code: CodeType) -> set[str]:
 
 
 def _layout(cls: type) -> str:
-    """Fields of a NamedTuple, in order, with those of the NamedTuples among them."""
+    """Fields of a NamedTuple, in order, with the fields of nested NamedTuples."""
     space = vars(sys.modules[cls.__module__])
     fields = []
     for name, annotation in cls.__annotations__.items():
@@ -166,11 +166,11 @@ def _digest(function: Callable[..., Any]) -> str:
 
 
 class _CacheFile(caching.IndexDataCacheFile):  # type: ignore[misc]
-    """Index and code of a kernel, each with a checksum behind it: damaged machine code would crash the process."""
+    """Index and code of a kernel, each followed by a checksum: damaged machine code would crash the process."""
 
     def _dump(self, obj: object) -> bytes:
         data: bytes = super()._dump(obj)
-        return data + hashlib.sha256(data).digest()  # which the unpickler does not read
+        return data + hashlib.sha256(data).digest()  # the unpickler ignores the checksum
 
     def _load_data(self, name: str) -> object:
         content = Path(self._data_path(name)).read_bytes()
@@ -181,12 +181,12 @@ class _CacheFile(caching.IndexDataCacheFile):  # type: ignore[misc]
 
 
 class _KernelCache(caching.FunctionCache):  # type: ignore[misc]
-    """numba's cache on disk, keyed by `_digest`; what cannot be read or written is compiled again."""
+    """numba's cache on disk, keyed by `_digest`; a kernel that cannot be read or written is compiled again."""
 
     def __init__(self, function: Callable[..., Any], compiling: Callable[[], None]) -> None:
         super().__init__(function)
         self._compiling = compiling
-        # not numba's name, which has the line number in it
+        # numba's own name would contain the line number
         file = Path(function.__code__.co_filename).stem
         name = f"{file}.{function.__qualname__}.{sys.implementation.cache_tag}"
         self._cache_file = _CacheFile(self._cache_path, re.sub("[<>]", "", name), _digest(function))
@@ -205,30 +205,30 @@ class _KernelCache(caching.FunctionCache):  # type: ignore[misc]
     def _load(self, sig: object, target_context: object) -> object:
         """Load compiled code with the run-time library that it is linked with.
 
-        numba's own `load_overload` first sets up all that compiling needs, which takes longer than loading; the
-        compiler does so too, when there is something to compile.
+        numba's own `load_overload` first sets up the compiler, which takes longer than loading; compiling sets it up
+        anyway.
         """
         rtsys.initialize(target_context)
-        import_module("numba.cpython.hashing")  # names a symbol, which code with dictionaries needs
+        import_module("numba.cpython.hashing")  # defines a symbol that code with dictionaries needs
         return self._load_overload(sig, target_context)
 
     def save_overload(self, sig: object, data: object) -> None:
-        # A full disk, a folder that has gone, a damaged index that cannot be replaced: the kernel is in memory.
+        # A full disk, a deleted folder, a damaged index that cannot be replaced do no harm: the kernel is in memory.
         with suppress(Exception):
             super().save_overload(sig, data)
 
 
 def cached_dispatcher(function: Callable[..., Any], compiling: Callable[[], None]) -> Any:
-    """numba's dispatcher of a function that Python calls: it compiles for the types that it is called with, or loads
-    from the cache.
+    """numba's dispatcher of a function that Python calls: it compiles for the types of the arguments, or loads from the
+    cache.
 
-    `compiling` is called before it compiles. The GIL is released while it runs; NaN and infinities stay what they are
-    (no ``fastmath=True``: checks for them must work), and sums are in the order in which they are written, if the
-    kernel does not allow another.
+    `compiling` is called before it compiles. The GIL is released while the function runs; NaN and infinities are kept
+    (no ``fastmath=True``: checks for them must work), and sums are evaluated in the order in which they are written,
+    unless the kernel is `reordered`.
     """
     dispatcher = numba.njit(**OPTIONS, fastmath=_allowed(function), pipeline_class=_EntryCompiler)(function)
     if hasattr(dispatcher, "_cache"):  # NUMBA_DISABLE_JIT gives the function itself
-        # Where there is nowhere to write a cache (read-only installation and home), every process compiles.
+        # Without a writable folder for the cache (read-only installation and home), every process compiles.
         with suppress(RuntimeError):
             dispatcher._cache = _KernelCache(function, compiling)
     return dispatcher

@@ -1,1 +1,1 @@
-"""One likelihood of the record: states follow the equation, what it leaves is a process of its own."""
+"""Likelihood of records by a state-space model: states follow the equations, each with a random discrepancy."""

@@ -1,7 +1,7 @@
-"""Whether a record is as its likelihood says: does the motion need a discrepancy, and is what is left of it noise?
+"""Tests of a fit: discrepancies, coefficients that change, channels that are off, and whether innovations are white.
 
-If the equations are right the likeliest discrepancy is as good as none, and the standardised innovations of every
-channel are white: the power of each octave is a share of the whole that a beta distribution tells, whatever the level
+If the equations are right the likeliest discrepancy is negligible, and the standardised innovations of every channel
+are white: the share of the power that lies in an octave then has a beta distribution, whatever the noise level
 (predictive checks: Box 1980; Gelman, Meng and Stern 1996).
 """
 
@@ -25,23 +25,23 @@ from bayeq.likelihood.model import Fitted, Task
 from bayeq.numerics.distributions import Z95, Shape, excess_of, incomplete_beta, shape_of
 from bayeq.numerics.settings import LIKELIHOOD
 
-# Memories of a discrepancy between which its test is followed.
+# Number of memories of a discrepancy at which `turn_of` evaluates the score statistic.
 MEMORIES = 33
 
-# Step in ln size that the curvature of the likelihood is read from, and the curvature below which it tells nothing.
+# Step in log variance of the likelihood's second difference, and the least curvature that gives a finite interval.
 STEP, LEAST_BEND = 0.1, 1e-3
 
-# A memory above this share of the longest that a fit may have is learned again without that bound: a force that nobody
-# measured may be slow.
+# With a memory above this share of its bound, `Levels.longest`, the levels are estimated again without the bound: an
+# unmeasured force may be slow.
 AT_BOUND = 0.98
 
-# Information on a change, as a share of that on it alone, below which it is rounding.
+# Information on a change below this share of that with all coefficients known is a rounding error.
 ROUNDING = 1e-9
 
-# Innovations with less of the expected power in the highest octave are those of a filtered channel.
+# A channel counts as low-pass filtered if its innovations have less than this of white power in the highest octave.
 FILTERED = 0.3
 
-# Bins of an octave, at least.
+# Least number of frequency bins in an octave that is used.
 LEAST_BINS = 8
 
 
@@ -49,24 +49,24 @@ class Discrepancy(NamedTuple):
     """The discrepancy of an equation: the force that its terms do not explain."""
 
     size: float  # standard deviation of the discrepancy as a share of the target's
-    low: float  # ends of its 95 % interval
+    low: float  # ends of the 95 % interval of `size`
     high: float
-    p: float  # probability by chance of a likelihood that is greater than without by as much, see `chance_of`
-    octave: tuple[float, float]  # between these frequencies [Hz] lies most of its power
+    p: float  # p value of the likelihood ratio against no discrepancy, see `chance_of`
+    octave: tuple[float, float]  # ends [Hz] of the octave that holds most of its power
 
 
 class Change(NamedTuple):
-    """How a coefficient changes over the record, as far as samples tell."""
+    """Score test of a linear change of a coefficient over each record."""
 
     chain: int  # number of the equation
     of: str  # "the coefficient of x", "the constant"
     relative: float  # change from the first sample to the last, along a straight line, as a share of the coefficient
-    share: float  # standard deviation of what that does to the target, as a share of the target's
-    p: float  # probability by chance of a change so large, were there none
+    share: float  # root mean square effect on the target, as a share of the target's standard deviation
+    p: float  # two-sided p value against no change
 
     @property
     def reverses(self) -> bool:
-        """Whether the coefficient has another sign at the end."""
+        """Whether the coefficient changes sign over the record."""
         return abs(self.relative) > 2.0
 
 
@@ -76,9 +76,9 @@ class Octave(NamedTuple):
     channel: str
     low: float  # [Hz]
     high: float
-    ratio: float  # the power over that of white noise
-    p: float  # probability by chance of a share so far from its median
-    share: float  # of all frequencies
+    ratio: float  # the power relative to white noise
+    p: float  # two-sided p value of the octave's share of the power
+    share: float  # the octave's share of all frequency bins
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class Adequacy:
 
     @property
     def limit(self) -> float:
-        """Probability below which a test rejects at 1 %, all tests together (Holm)."""
+        """Largest p value that is rejected, at a level of 1 % for all tests together (Holm 1979)."""
         p = sorted(one.p for tests in (self.discrepancies, self.octaves, self.changes) for one in tests)
         for k, value in enumerate(p):
             if value > LIKELIHOOD.test_level / (len(p) - k):
@@ -101,17 +101,17 @@ class Adequacy:
         return LIKELIHOOD.test_level
 
     def lacks(self, c: int) -> Discrepancy | None:
-        """The discrepancy of equation c, if the motion needs it."""
+        """The discrepancy of equation c if its test rejects that there is none, else None."""
         one = self.discrepancies[c]
         return one if one.p <= self.limit else None
 
     def coloured(self, channels: Sequence[str]) -> Octave | None:
-        """The least probable octave of some channels, if it is rejected."""
+        """The rejected octave of these channels with the lowest p value, or None."""
         rejected = [one for one in self.octaves if one.channel in channels and one.p <= self.limit]
         return min(rejected, key=lambda one: (one.p, -abs(math.log(one.ratio))), default=None)
 
     def suspect(self, channels: Sequence[str]) -> Suspect | None:
-        """The channel among some that the others contradict most; else one with hardly any noise above a frequency."""
+        """Of these channels the one that the others contradict most, else one that was low-pass filtered, or None."""
         contradicted = [one for one in self.suspects if one.channel in channels]
         if contradicted:
             return max(contradicted, key=lambda one: one.sds)
@@ -125,7 +125,7 @@ class Adequacy:
         return None if lowest is None else Suspect(lowest.channel, "filter", lowest.low)
 
     def changing(self, c: int) -> Change | None:
-        """The least probable change of a coefficient of equation c, if it is rejected."""
+        """The rejected, not negligible change of a coefficient of equation c with the lowest p value, or None."""
         least = LIKELIHOOD.misfit_least
         rejected = [one for one in self.changes if one.chain == c and one.p <= self.limit and one.share > least]
         return min(rejected, key=lambda one: one.p, default=None)
@@ -135,7 +135,7 @@ def adequacy_of(task: Task, fitted: Fitted) -> Adequacy:
     """Tests of a fit."""
     state = fitted.state
     if (state.levels.memory > AT_BOUND * state.levels.longest).any():
-        # a fit is kept from remembering as long as a slow force may last
+        # fits bound the memory of a discrepancy, but an unmeasured force may be slower
         free = replace(state, levels=state.levels.unbounded)
         state = replace(state, levels=maximised(task.linearised(state), free, task.precision_of(state))[0])
     here = task.marginal(state)
@@ -149,7 +149,8 @@ def adequacy_of(task: Task, fitted: Fitted) -> Adequacy:
 def changes_of(task: Task, state: State, here: Statistics, power: float) -> tuple[Change, ...]:
     """Score tests of coefficients that change along a straight line over each record, one at a time (Nyblom 1989).
 
-    The score of a sample by the change is that by the coefficient, times its place in the record, -1 to 1.
+    A sample's score with respect to the change is that with respect to the coefficient times its place in the record,
+    from -1 to 1.
     """
     r, rows = len(state.theta), 0
     if not r:
@@ -182,7 +183,7 @@ def changes_of(task: Task, state: State, here: Statistics, power: float) -> tupl
 
 
 def _discrepancy(task: Task, state: State, value: float, c: int, interval: float) -> Discrepancy:
-    """The discrepancy of equation c, in a fit of log likelihood `value`."""
+    """Size, interval, p value and octave of the discrepancy of equation c; the fit has the log likelihood `value`."""
     levels, size = state.levels, float(state.levels.kappa[c])
 
     def log_likelihood(factor: float) -> float:
@@ -204,9 +205,9 @@ def _discrepancy(task: Task, state: State, value: float, c: int, interval: float
 def _innovations(
     task: Task, state: State, delta: Floats, interval: float
 ) -> tuple[tuple[Octave, ...], dict[str, Shape]]:
-    """Tests of the innovations of all channels of chains, coefficients `delta` from those of the fit."""
+    """Octaves and shapes of the innovations of all channels of chains, with coefficients moved by `delta`."""
     layout, levels, noisy = task.layout, state.levels, len(task.layout.roles.inputs)
-    # inputs are filtered first: their course need not be that of low-passed noise
+    # inputs are filtered first, so that others are conditioned on them: their model as low-passed noise may be wrong
     order = np.roll(np.arange(len(layout.channels)), noisy)
     noise = levels.noise._replace(channels=levels.noise.channels[order])
     filtered = [run_filter(one.in_order(order), state.chosen, noise) for one in task.linearised(state)]
@@ -226,7 +227,7 @@ def _innovations(
             continue
         together = np.concatenate(left)
         shapes[channel] = shape_of(together - together.mean())
-        # as of discrepancies, less than that is none
+        # as for discrepancies, less excess power than this share of the channel's variance is ignored
         least = LIKELIHOOD.least_discrepancy * levels.scales.channels[order[k]] / levels.channels[order[k]]
         tested = octaves_of(channel, left, interval, otherwise if kind < 0 else set(), drifting)
         octaves += [one for one in tested if abs(one.ratio - 1.0) * one.share > least]
@@ -234,7 +235,7 @@ def _innovations(
 
 
 def without_drift(levels: Levels, interval: float, frequency: float) -> float:
-    """The least share of a channel's power from a frequency [Hz] on without drifts, which may be slower in truth."""
+    """Least share of noise, over channels, in noise plus drift above a frequency [Hz]: true drifts may be slower."""
     if not levels.layout.drift:
         return 1.0
     drift = 0.5 * levels.drifts * levels.layout.drift / (1.0 - math.cos(2.0 * math.pi * frequency * interval))
@@ -242,11 +243,10 @@ def without_drift(levels: Levels, interval: float, frequency: float) -> float:
 
 
 def gain_of(task: Task, state: State, c: int) -> float:
-    """ln ratio of the likelihoods, given the inputs, with the discrepancy of equation c and without, other levels
-    learned again.
+    """Log likelihood ratio, given the inputs, of the discrepancy of equation c against none with levels re-estimated.
 
-    The samples of an input tell its noise by the model of its course, which is a convenience: any noise is plausible up
-    to the power of the input in the octave in which it has least.
+    The noise of an input is estimated by modelling the input as low-passed noise, which is only a convenience. So noise
+    up to the input's power in its quietest octave is plausible, and is tried without the discrepancy.
     """
     linears = task.linearised(state)
     held = np.zeros(len(state.levels.free), dtype=np.bool_)
@@ -271,7 +271,7 @@ def gain_of(task: Task, state: State, c: int) -> float:
 
 
 def _least_power(task: Task, state: State, i: int) -> float:
-    """Variance of white noise with the power that channel i, an input, has in its quietest octave."""
+    """Variance of white noise with the power that channel i, an input, has in its quietest octave; 0 if unknown."""
     own = task.layout.kinds[i]
     pieces = [
         np.where(np.isnan(one.samples[:, i]), path[:, own], one.samples[:, i])
@@ -284,14 +284,14 @@ def _least_power(task: Task, state: State, i: int) -> float:
 
 
 def chance_of(gain: float, length: float) -> float:
-    """Probability that the likelihood of the likeliest discrepancy is greater by chance, of an equation without one.
+    """p value of the likelihood ratio of the likeliest discrepancy, for an equation that has none.
 
-    The signed root of twice the log ratio is about standard normal at each memory, and zero where it is negative. The
-    memory is the likeliest too: to the normal tail at one end of its range are added the crossings of the level on the
-    way to the other (Davies 1977, with the rate of Rice).
+    At a fixed memory the signed root of `gain` is about standard normal, and negative values become zero because a
+    variance is not negative. The memory is maximised over as well: to the normal tail at one end of its range is added
+    the expected number of upcrossings on the way to the other (Davies 1977, with the rate of Rice).
 
-    `gain` is twice the logarithm of the ratio of the likelihoods; `length` the angle that the test turns through from
-    the least memory to the most: two tests of correlation r are arccos(r) apart.
+    `gain` is twice the log likelihood ratio; `length` is the arc length [rad] of the normalised score statistic as the
+    memory goes from its least to its largest value: statistics of correlation r are arccos(r) apart.
 
     Examples
     --------
@@ -308,7 +308,7 @@ def _length(task: Task, state: State, c: int) -> float:
     levels, d = state.levels, task.layout.discrepancy[c]
     memory = levels.memory.copy()
     memory[c] = LIKELIHOOD.shortest_memory
-    # a small discrepancy without memory is, smoothed, what the likelihood would gain by a force at each sample
+    # smoothed, a tiny discrepancy of the least memory is proportional to the score by a force at each sample
     little = replace(levels.with_discrepancy(c, 0.0), memory=memory)
     found = task.marginal(replace(state, levels=little))
     smoothed = adjoints(task.linearised(state), little, found, found.delta)
@@ -316,9 +316,10 @@ def _length(task: Task, state: State, c: int) -> float:
 
 
 def turn_of(pulls: Sequence[Floats]) -> float:
-    """Angle that the score of a discrepancy turns through from the least memory to the most.
+    """The `length` of `chance_of`: arc length [rad] of the normalised score statistic over all memories (Davies 1977).
 
-    `pulls`, (n,) each, are what the likelihood of an equation without one gains by a force at each sample.
+    The memory is the AR(1) coefficient of the discrepancy, from its least to its largest value. `pulls`, (n,) each:
+    derivative of the log likelihood, without a discrepancy, by a force at each sample.
     """
     weights, angles = [], []
     for values in pulls:
@@ -341,9 +342,9 @@ def octaves_of(
     without: Set[tuple[float, float]] = frozenset(),
     least: Callable[[float], float] = lambda _: 1.0,
 ) -> list[Octave]:
-    """Tests of the octaves of what should be white noise: consecutive samples (n,) of a channel, an interval [s] apart.
+    """Test octave by octave whether consecutive samples, (n,) in each piece, of a channel are white; `interval` in s.
 
-    Octaves `without` are left out. From a frequency [Hz] on there may be a share `least` of what is expected.
+    Octaves `without` are left out. From a frequency [Hz] on the share ``least(frequency)`` of white power is enough.
     """
     power, below = _spectrum(pieces)
     highest, out = 0.5 / interval, []
@@ -365,7 +366,7 @@ def octaves_of(
 
 
 def _spectrum(pieces: Sequence[Floats]) -> tuple[Floats, Ints]:
-    """Powers of all bins between 0 and half the sampling rate, and how many octaves below that each lies."""
+    """Power in all bins between 0 and the Nyquist frequency, and the octave of each, counted down from Nyquist."""
     power, below = [np.zeros(0)], [np.zeros(0, dtype=np.int64)]
     for values in pieces:
         bins = np.arange(1, (len(values) + 1) // 2)
@@ -375,7 +376,7 @@ def _spectrum(pieces: Sequence[Floats]) -> tuple[Floats, Ints]:
 
 
 def power_of(task: Task, fitted: Fitted) -> float:
-    """The power, 1 where innovations look independent."""
+    """Power that the likelihood is raised to for correlated innovations; 1 if the scores look independent."""
     if not len(fitted.state.theta):
         return 1.0
     found = task.marginal(fitted.state)

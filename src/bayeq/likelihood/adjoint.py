@@ -1,7 +1,7 @@
-"""The adjoint of the filter: derivatives of the likelihood by all variances, and the smoothed path.
+"""The adjoint of the filter: derivatives of the log likelihood by all variances, and the smoothed path.
 
-The recursion is that of Koopman and Shephard (1992). It stands in the rows of one array as the filter does: adjoints of
-the data and of the coefficients, then their information N.
+The recursion is that of Koopman and Shephard (1992). It is stored in the rows of one array as the filter is: adjoints
+of the data and of the coefficients, then their information N.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from bayeq.kernels import kernel
 from bayeq.likelihood.filter import Filtered, Noise, close, combine, multiply, padded, rows_together
 from bayeq.likelihood.linear import Linear
 
-# Directions of a matrix, as a share of the largest, that are rounding.
+# Eigenvalues of a matrix below this share of the largest are rounding errors.
 SINGULAR = 1e-15
 
 
@@ -23,22 +23,22 @@ class Adjoint(NamedTuple):
     """Derivatives of the log likelihood, and the smoothed path."""
 
     channels: Floats  # (M,), by the variances R
-    courses: Floats  # (L,), by those of the courses
-    # by the entries of `Noise`, (S,): that by the memory for states that stay what they are between samples, and 0 for
-    # those that have neither memory nor steps
+    courses: Floats  # (L,), by the variances `Noise.courses`
+    # (S,) each, by the entries of `Noise`. The one by the memory is for states that are constant between samples; by
+    # memory and steps it is 0 for states with memory 1 and no steps.
     memory: Floats
     steps: Floats
     start: Floats
     deviation: Floats  # (n, S), smoothed path less that of the linearisation
     covariance: Floats  # (n, S, S), of the smoothed path, given the coefficients; empty where not asked for
-    # (n, C, S) and (n - 1, C, S), directions along which the derivatives of the candidates at the samples, and between
-    # them, give what the coefficients change in the determinant of the likelihood; empty where not asked for
+    # (n, C, S) and (n - 1, C, S), directions at samples and between: the candidates' derivatives along them sum to the
+    # derivative of the likelihood's log determinant by each coefficient (`corrections`); empty where not asked for
     at_samples: Floats
     between: Floats
 
 
 class _Returning(NamedTuple):
-    """Where the adjoint recursion stands, and its work space; coefficients are in units of their uncertainty."""
+    """State and work space of the adjoint recursion; coefficients are scaled by the root of their covariance."""
 
     # (2, S, W), as in `_Running`: adjoints of the data, at the coefficients' mean, and of each coefficient; their
     # information N
@@ -46,12 +46,12 @@ class _Returning(NamedTuple):
     step: Floats  # (S, S), as in `_Running`
     lines: Floats  # (4, W), work space of a sample
     innovation: Floats  # (rows, M, 1 + r), at the coefficients' mean, and its derivatives
-    lasting: Ints  # (s,), states that change at samples
-    mean: Floats  # (rows, s, r), derivatives of their filtered means
+    lasting: Ints  # (s,), states with a memory other than 1 or with random steps at samples
+    mean: Floats  # (rows, s, r), derivatives of their filtered means by the coefficients
 
     @classmethod
     def at_end(cls, noise: Noise, r: int, scored: bool) -> _Returning:
-        """After the last sample; `scored` if derivatives by the noise are wanted."""
+        """The recursion after the last sample; `scored` if derivatives by the noise are wanted."""
         size, channels = len(noise.memory), len(noise.channels)
         lasting = np.flatnonzero(scored & ((noise.memory != 1.0) | (noise.steps > 0.0)))
         work, rows = np.zeros((2, size, padded(1 + r + size))), rows_together(channels, r)
@@ -59,7 +59,7 @@ class _Returning(NamedTuple):
         return cls(work, np.empty((size, size)), lines, innovation, lasting, np.empty((rows, len(lasting), r)))
 
     def take(self, found: Filtered, rows: slice, delta: Floats, root: Floats) -> None:
-        """Some rows of a filtered record, at deviations `delta` of the coefficients with covariance `root` `root`'."""
+        """Loads rows of a filtered record, with coefficients moved by `delta` and their covariance `root` `root`'."""
         (r, columns), count = root.shape, rows.stop - rows.start
         # derivatives by the coefficients enter with the other sign: e = E_0 - E theta
         units = np.zeros((1 + r, 1 + columns))
@@ -73,7 +73,7 @@ class _Returning(NamedTuple):
 
 @kernel(borrowing=True)
 def _excess(work: Floats, then: int, i: int, start: int) -> float:
-    """Squares of the adjoints of a state less their variance."""
+    """Sum of the squared adjoints of state i less its diagonal entry of N."""
     total = -work[then, i, start + i]
     for j in range(start):
         total += work[then, i, j] ** 2
@@ -84,7 +84,7 @@ def _excess(work: Floats, then: int, i: int, start: int) -> float:
 def _excess_of_force(
     transition: Floats, k: int, d: int, motion: int, work: Floats, then: int, lines: Floats, start: int
 ) -> float:
-    """`_excess` of a force over a step, in place of that of a state."""
+    """`_excess` for a force over step k that acts as discrepancy d does, instead of for a state."""
     total = 0.0
     for j in range(start + work.shape[1]):
         lines[1, j] = 0.0
@@ -101,7 +101,7 @@ def _excess_of_force(
 def _leftover(
     gain: Floats, k: int, channel: int, innovation: Floats, row: int, S: float, lines: Floats, start: int
 ) -> float:
-    """E/S - gain'r and -gain'N into ``lines[0]``, where gain'r and gain'N are; returns 1/S + gain'N gain."""
+    """Replaces gain'r and gain'N in ``lines[0]`` by E/S - gain'r and -gain'N; returns 1/S + gain'N gain."""
     share = spread = 1.0 / S
     for j in range(start):
         lines[0, j] = share * innovation[row, channel, j] - lines[0, j]
@@ -113,7 +113,7 @@ def _leftover(
 
 @kernel(borrowing=True)
 def _absorb_state(kind: int, spread: float, work: Floats, now: int, lines: Floats, start: int) -> None:
-    """A sample of a state: r + h (E/S - gain'r), and N likewise."""
+    """Adds a sample of state `kind` to the adjoints, r + h (E/S - gain'r) with h a unit vector, and to N likewise."""
     for i in range(work.shape[1]):
         work[now, i, start + kind] += lines[0, start + i]
     lines[0, start + kind] += spread
@@ -125,7 +125,7 @@ def _absorb_state(kind: int, spread: float, work: Floats, now: int, lines: Float
 def _absorb_target(
     gradient: Floats, k: int, c: int, spread: float, work: Floats, now: int, lines: Floats, start: int
 ) -> None:
-    """A sample of a target, whose h is its gradient."""
+    """Adds a sample of target c to the adjoints and N, as `_absorb_state` does; h is the gradient of the target."""
     size, width = work.shape[1:]
     for i in range(size):
         for j in range(size):
@@ -140,7 +140,7 @@ def _absorb_target(
 
 @kernel(borrowing=True)
 def _add_product(factor: float, A: Floats, k: int, lines: Floats, source: int, target: int) -> None:
-    """To a line a factor times ``A[k]`` times another line."""
+    """Adds `factor` times ``A[k]`` times line `source` to line `target`."""
     for i in range(A.shape[1]):
         for o in range(A.shape[1]):
             lines[target, i] += factor * A[k, i, o] * lines[source, o]
@@ -148,7 +148,7 @@ def _add_product(factor: float, A: Floats, k: int, lines: Floats, source: int, t
 
 @kernel(borrowing=True)
 def _by_information(work: Floats, now: int, start: int, lines: Floats) -> None:
-    """N times ``lines[1]``, into ``lines[2]``."""
+    """Puts N times ``lines[1]`` into ``lines[2]``."""
     for i in range(work.shape[1]):
         lines[2, i] = 0.0
         for o in range(work.shape[1]):
@@ -159,7 +159,7 @@ def _by_information(work: Floats, now: int, start: int, lines: Floats) -> None:
 def _curve_between(
     A: Floats, P: Floats, k: int, work: Floats, now: int, start: int, discrete: bool, lines: Floats
 ) -> None:
-    """Puts (1 + A) P N w, of maps 2 P N w, into ``lines[2]``, w in ``lines[1]``: -2 times `Adjoint.between`."""
+    """Puts (I + A) P N w, for maps 2 P N w, into ``lines[2]``, given w in ``lines[1]``: -2 times `Adjoint.between`."""
     size = work.shape[1]
     _by_information(work, now, start, lines)
     for i in range(size):
@@ -173,7 +173,7 @@ def _curve_between(
 
 @kernel(borrowing=True)
 def _curve_at(P: Floats, k: int, work: Floats, now: int, start: int, lines: Floats) -> None:
-    """Puts (P - P N P) h, h in ``lines[2]``, into ``lines[1]``: minus the direction `Adjoint.at_samples`, times R."""
+    """Puts (P - P N P) h into ``lines[1]``, given h in ``lines[2]``: -R times `Adjoint.at_samples`, R the noise."""
     for i in range(work.shape[1]):
         lines[1, i] = 0.0
     _add_product(1.0, P, k, lines, 2, 1)
@@ -183,7 +183,7 @@ def _curve_at(P: Floats, k: int, work: Floats, now: int, start: int, lines: Floa
 
 @kernel(borrowing=True)
 def _smooth(covariance: Floats, k: int, work: Floats, now: int, lines: Floats, start: int, smoothed: Floats) -> None:
-    """P - P N P: the covariance of a state given all samples."""
+    """Puts P - P N P, the covariance of the states given all samples, into ``smoothed[k]``."""
     size = work.shape[1]
     for i in range(size):
         for o in range(size):
@@ -201,7 +201,7 @@ def _smooth(covariance: Floats, k: int, work: Floats, now: int, lines: Floats, s
 def _backward(
     linear: Linear, noise: Noise, found: Filtered, first: int, stop: int, at: _Returning, out: Adjoint
 ) -> None:
-    """Samples from the one before `stop` back to `first`."""
+    """Runs the recursion backwards over the samples from `stop` - 1 to `first`."""
     path, transition, gradient = linear.path, linear.transition, linear.gradient
     kinds, leads, forces = linear.kinds, linear.leads, linear.discrepancy
     memory, added = noise.memory, noise.channels
@@ -311,7 +311,7 @@ def adjoint(
 
 
 def root_of(A: Floats) -> Floats:
-    """F, (p, r), of a matrix that may be singular: A = F F'."""
+    """Square root F, (p, r), of a positive semidefinite matrix A = F F'."""
     scale = np.sqrt(np.maximum(np.diagonal(A), np.finfo(np.float64).tiny))
     squares, axes = np.linalg.eigh(A / scale[:, None] / scale)
     kept = squares > SINGULAR * squares.max(initial=0.0)

@@ -1,7 +1,7 @@
 """The likelihood of all rows about a fit to some of them: sums over blocks, and noise levels and spectra from these.
 
-About the fit the likelihood is quadratic in coefficients and levels together. How it curves is taken from the rows that
-were fitted, by differences; its slopes are those of all rows.
+About the fit the log likelihood is quadratic in coefficients and levels together. Its gradient and the information on
+coefficients are sums over all rows; its other second derivatives are differences over the rows that were fitted.
 """
 
 from __future__ import annotations
@@ -25,36 +25,36 @@ from bayeq.likelihood.start import series_and_paths, with_spectra
 from bayeq.numerics.settings import LIKELIHOOD
 from bayeq.states import MotionRows
 
-# Steps of the path at most, and the deviation, in standard deviations of a state, that ends them.
+# Most relinearisations about the path, and the move of the path, in standard deviations of each state, that ends them.
 STEPS, NEAR = 6, 3e-3
 
-# Differences are taken over this share of a variance or of a corner.
+# Step of the finite differences, in an entry of `Levels.free` or the logarithm of a corner.
 STEP = 1e-3
 
-# A level as near to its bound as this stays there.
+# A level within this of its bound, in `Levels.free`, is held there.
 AT_BOUND = 1e-2
 
-# Levels move by no more than this in a step: variances of noise by a factor of 2.7, those of discrepancies, whose
-# memory goes with them, by a half.
+# Largest steps in `Levels.free`: of noise and input steps (a factor of 2.7), and of the levels that may vanish, such as
+# discrepancies (growth by a half) and their memories.
 LONGEST, OF_DISCREPANCIES = 1.0, 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """The likelihood of some rows, and sums over them, as terms of the sums over all rows."""
+    """The log likelihood of a block of rows, and sums over them; blocks are added to those of all rows."""
 
     quadratic: Quadratic  # the log likelihood of all candidates about zero
-    score: Floats  # (F,), its derivatives by the levels, at the coefficients that it is taken about
+    score: Floats  # (F,), its derivatives by `Levels.free`, at the coefficients of the linearisation
     power: Floats  # (L, B), sums of the periodograms of the noisy inputs
-    segments: int  # number of these
+    segments: int  # number of periodograms in each sum
     samples: float  # number of samples
-    # (B, r, r), over batches of rows, see `bayeq.likelihood.projection`: of the model's columns with each other
+    # (B, r, r), sums over batches of rows of the products of the model's columns, see `bayeq.likelihood.projection`
     products: Floats
-    pulls: Floats  # (B, r), the same with the discrepancies of their equations
+    pulls: Floats  # (B, r), the same of the columns with the discrepancies of their equations
     squares: Floats  # (C,), sums of the squares of the discrepancies
     weight: float = 0.0  # sum of the weights of rows
-    lost: int = 0  # rows of which it could not be evaluated
-    # (2, C), samples of each channel that are missing, and that were left out as bad; empty where nobody counted them
+    lost: int = 0  # number of rows whose likelihood could not be evaluated
+    # (2, M), number of samples of each channel that are missing, and that were left out as bad; empty if not counted
     absent: Ints = field(default_factory=lambda: np.zeros((2, 0), dtype=np.int64))
 
     def __add__(self, other: Block) -> Block:
@@ -64,7 +64,7 @@ class Block:
 
 
 def block_of(task: Task, state: State, pieces: Sequence[MotionRows]) -> Block:
-    """The likelihood of smoothed rows about the likeliest path there, given a fit to other rows of the same system."""
+    """The block of smoothed rows, linearised about their likeliest path, given a fit to other rows of the system."""
     power, segments = _power(task, pieces)
     size, r = len(task.precision), len(state.theta)
     nothing = Block(
@@ -115,7 +115,7 @@ def _power(task: Task, pieces: Sequence[MotionRows]) -> tuple[Floats, int]:
 
 
 def at_its_path(task: Task, state: State) -> tuple[State, list[Linear], list[Adjoint]]:
-    """The model linearised about the path that the coefficients and the samples make likeliest."""
+    """The state on its likeliest path given coefficients and samples, the model linearised there, and its adjoints."""
     spread = np.sqrt(state.levels.scales.variance)
     for _ in range(STEPS):
         linears = task.linearised(state)
@@ -128,7 +128,7 @@ def at_its_path(task: Task, state: State) -> tuple[State, list[Linear], list[Adj
 
 
 def adjoints_of(state: State, linears: Sequence[Linear]) -> list[Adjoint]:
-    """The adjoints of records at the coefficients that they are linearised about."""
+    """The adjoints of the records, with the coefficients of the linearisation held fixed."""
     none, square = np.zeros(0), np.zeros((0, 0))
     filtered = tuple(run_filter(linear, NOTHING, state.levels.noise) for linear in linears)
     about = Statistics(0.0, 0.0, none, square, filtered)
@@ -138,7 +138,7 @@ def adjoints_of(state: State, linears: Sequence[Linear]) -> list[Adjoint]:
 def statistics(
     task: Task, state: State, linears: Sequence[Linear], found: Sequence[Adjoint]
 ) -> tuple[Quadratic, Floats]:
-    """The log likelihood of all candidates about zero, and its derivatives by the levels, from `adjoints_of`."""
+    """The log likelihood of all candidates, expanded about zero, and its derivatives by `Levels.free`."""
     curved = corrections(task.layout, linears, found)
     score = np.sum([state.levels.slopes(one) for one in found], axis=0)
     return information(task.layout, linears, state, curved), score
@@ -146,20 +146,20 @@ def statistics(
 
 @dataclass(frozen=True, eq=False)
 class Curvature:
-    """How the likelihood of a fit curves, of one sample on average."""
+    """Second derivatives of a fit's log likelihood, per sample."""
 
     moving: Ints  # (K,), the levels, as entries of `Levels.free`, that are neither known nor at a bound
     turning: Ints  # (L,), the noisy inputs whose spectrum has a corner
-    # (C (P + 1), K + L), derivatives of the slopes by all candidates, by these levels and by the logarithms of these
-    # corners
+    # (C (P + 1), K + L), second derivatives by the coefficients of all candidates and by these levels and the
+    # logarithms of these corners
     slopes: Floats
-    scores: Floats  # (K, K + L), derivatives of the slopes by the levels
-    # (K + L,), how far the logarithms of the standard deviations of coefficients in the model follow them, at most
+    scores: Floats  # (K, K + L), second derivatives by these levels and by levels and corners
+    # (K + L,), largest derivative of a log standard deviation of a coefficient in the model by each level and corner
     spreads: Floats
 
 
 def curvature(task: Task, state: State) -> Curvature:
-    """The curvature by differences: one level or corner is moved at a time, in threads."""
+    """The curvature by finite differences: one level or corner is moved at a time, in threads."""
     from concurrent.futures import ThreadPoolExecutor
 
     from joblib import cpu_count  # which takes a while to import
@@ -190,14 +190,14 @@ def curvature(task: Task, state: State) -> Curvature:
 
 
 def _slopes(task: Task, state: State) -> tuple[Floats, Floats, Floats]:
-    """Slopes of the log likelihood, record by record, by all candidates and by levels; log sds of the coefficients."""
+    """Gradients of the log likelihood, summed over records, by all candidates and levels; log sds of coefficients."""
     theta, included = coefficients(task.layout, state), task.number(state.chosen)
     by_candidates, by_levels = np.zeros(len(theta)), np.zeros(len(state.levels.free))
     H = np.diag(task.precision[included])
     for k, (one, path) in enumerate(zip(task.series, state.paths, strict=True)):
         own, here = replace(task, series=(one,)), replace(state, paths=(path,), blurs=state.blurs[k : k + 1])
         linears = own.linearised(here)
-        # slopes by coefficients are those along the path that these levels make likeliest
+        # the gradient by coefficients is taken on the path that is likeliest with these levels
         here = replace(here, paths=(path + adjoints_of(here, linears)[0].deviation,))
         linears = own.linearised(here)
         found, score = statistics(own, here, linears, adjoints_of(here, linears))
@@ -208,15 +208,16 @@ def _slopes(task: Task, state: State) -> tuple[Floats, Floats, Floats]:
 
 
 def relearned(task: Task, state: State, block: Block, curve: Curvature) -> tuple[Task, State, Quadratic, float]:
-    """Corners from the spectra of all rows; levels by a Newton step on their likelihood, coefficients solved along.
+    """Corners from the spectra of all rows, and levels by a Newton step of their likelihood jointly with coefficients.
 
-    Also the likelihood of all candidates there, and how far the logarithm of a level or deviation has moved, at most.
+    Also returned: the likelihood of all candidates there, and a bound on the change of the logarithm of any level of
+    noise or input steps, corner, or standard deviation of a coefficient.
     """
     layout, levels, theta = task.layout, state.levels, coefficients(task.layout, state)
     spectra = [of_segments(power, block.segments, SEGMENT) for power in block.power]
     task, state = with_spectra(task, state, spectra)
     by_corners = np.log([task.layout.corners[k] / layout.corners[k] for k in curve.turning])
-    # what steps of inputs move with their corners
+    # changes of the variances of input steps with the corners, then of the corners
     moved = np.concatenate([(state.levels.free - levels.free)[curve.moving], by_corners])
 
     B, S, count = block.samples * curve.slopes, block.samples * curve.scores, len(curve.moving)
@@ -233,18 +234,18 @@ def relearned(task: Task, state: State, block: Block, curve: Curvature) -> tuple
     quadratic = replace(q, slope=q.slope + B @ moved)
     free = levels.free
     free[curve.moving] += moved[:count]
-    # the likelihood is smooth in a discrepancy's variance, which may be nothing, rather than in its logarithm
+    # the likelihood is smooth in a discrepancy's variance, which may be near zero, not in its logarithm
     sizes = slice(len(levels.channels), len(levels.channels) + len(levels.discrepancy))
     free[sizes] = levels.free[sizes] + np.log1p(free[sizes] - levels.free[sizes])
     levels = replace(state.levels.moved(np.clip(free, *levels.bounds)), hessian=levels.hessian)
-    # those of discrepancies count by what they do
+    # levels that may vanish count only by their effect on the standard deviations of coefficients
     by_levels = np.abs(np.append(moved[:count][others], by_corners)).max(initial=0.0)
     farthest = max(float(by_levels), float(curve.spreads @ np.abs(moved)))
     return task, replace(state, levels=levels), quadratic, farthest
 
 
 def _uphill(A: Floats, slope: Floats, longest: Floats) -> Floats:
-    """A Newton step to a maximum; entries above `longest` are cut, and the others solved again given these."""
+    """A Newton step to a maximum; entries above `longest` are clipped, and the others are solved again given these."""
     step = _newton(A, slope)
     cut = np.clip(step, -longest, longest)
     short, rest = np.flatnonzero(cut != step), np.flatnonzero(cut == step)
@@ -254,6 +255,6 @@ def _uphill(A: Floats, slope: Floats, longest: Floats) -> Floats:
 
 
 def _newton(A: Floats, slope: Floats) -> Floats:
-    """A Newton step; in directions of less than a unit of information, as if there were a unit."""
+    """A Newton step with the eigenvalues of the information A replaced by their absolute values, 1 at least."""
     values, vectors = np.linalg.eigh(A)
     return np.asarray(vectors @ ((vectors.T @ slope) / np.maximum(np.abs(values), 1.0)))

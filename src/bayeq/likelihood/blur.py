@@ -1,10 +1,10 @@
-"""`Blur`: how well it is known, sample by sample, on which side of its jumps a term is.
+"""`Blur`: the width over which each jump of a term is smoothed, sample by sample.
 
-The width of a jump at a sample is the standard deviation of its argument there: the smoothed covariance of the states,
-and beside a passage the change of the argument over a step of the integration. It is no less than what the jump itself
-changes the argument by in such a step, so that it can be integrated. What the mean over the width leaves out is noise:
-of samples of the target, and of the force that acts over a step. Where both sides of a jump lead to it the argument
-stays at zero: friction holds a body at rest with just the force that it takes.
+The width of a jump at a sample is the standard deviation of its argument there: from the smoothed covariance of the
+states and, next to a crossing, from the change of the argument over an integration step. It is at least about the
+change of the argument that the jump itself causes in such a step, so that it can be integrated. The difference between
+jump and smoothed jump counts as noise, of samples of the target and of the force over a step. Where both sides of a
+jump drive its argument to zero it stays there: friction holds a body at rest with exactly the force that this needs.
 """
 
 from __future__ import annotations
@@ -24,24 +24,25 @@ from bayeq.numerics.settings import LIKELIHOOD
 # Variance of a uniform distribution over an interval of length 1.
 UNIFORM = 1.0 / 12.0
 
-# Widths are no less than this share of the largest argument, and errors than this share of the widths.
+# Least width as a share of the largest argument, and least error of an argument as a share of its width.
 LEAST, LEAST_ERROR = 1e-9, 1e-3
 
 
 class Hold(NamedTuple):
-    """Intervals in which a jump keeps its argument at zero: both sides lead there, as where friction holds a body."""
+    """Intervals in which a jump holds its argument at zero because both sides drive it there (sticking friction)."""
 
-    jump: int  # of `Layout.jumps`
-    rows: NDArray[np.intp]  # (k,), the intervals, by the samples that they begin with
-    half: Floats  # (k, C), half of what the jump changes each equation by
-    gradient: Floats  # (k, motion), the argument at their ends is ``gradient @ states + offset``
+    jump: int  # index in `Layout.jumps`
+    rows: NDArray[np.intp]  # (k,), number of the sample at which each interval begins
+    half: Floats  # (k, C), half of the jump of each equation's right-hand side
+    gradient: Floats  # (k, motion), the argument at the intervals' ends is ``gradient @ states + offset``
     offset: Floats  # (k,)
-    wide: float  # a width over which the jump is not seen
+    wide: float  # a width so large that it switches the jump off
 
     def projectors(self, push: Floats) -> tuple[Floats, Floats]:
-        """What the force that holds the argument (Filippov 1988) leaves of changes of the states, and what it adds.
+        """Projection of changes of the states by the force that holds the argument (Filippov 1988), and its offset.
 
-        (k, motion, motion) and (k, motion); by `push` (k, motion, C) a force of 1 changes the states in an interval.
+        (k, motion, motion) and (k, motion); `push`, (k, motion, C), is the change of the states over an interval by a
+        force of 1 in each equation.
         """
         push = np.einsum("knc,kc->kn", push, self.half)
         push = push / np.einsum("kn,kn->k", self.gradient, push)[:, None]
@@ -51,13 +52,13 @@ class Hold(NamedTuple):
 class Blur(NamedTuple):
     """Widths of the jumps along the path of a record."""
 
-    width: Floats  # (n, J), of `Layout.jumps`, in the unit of what jumps
-    unresolved: Floats  # (n, M), variance that each sample has beside its noise: of what the mean of jumps leaves out
-    force: Floats  # (n - 1, C), variance, over a step, of the force that it leaves out of each equation
-    holds: tuple[Hold, ...] = ()  # where jumps hold their arguments
+    width: Floats  # (n, J), of `Layout.jumps`, in the unit of the argument
+    unresolved: Floats  # (n, M), variance added to each sample's noise for the error of the smoothed jumps
+    force: Floats  # (n - 1, C), variance over a step of that error as a force in each equation
+    holds: tuple[Hold, ...] = ()  # intervals in which jumps hold their arguments
 
     def beside(self, inputs: Floats) -> Floats:
-        """Inputs (n, m, 4) and the widths, straight between samples, (n, m + J, 4)."""
+        """Inputs (n, m, 4) followed by the widths, interpolated linearly between samples: (n, m + J, 4)."""
         own = np.zeros((*self.width.shape, 4))
         own[:, :, 0] = self.width
         own[:, :, 1] = np.concatenate([self.width[1:], self.width[-1:]])
@@ -72,7 +73,7 @@ def _columns(layout: Layout, series: Series, path: Floats) -> dict[str, Floats]:
 
 
 def crossings(layout: Layout, series: Series, path: Floats, wanted: Bools) -> Bools:
-    """Intervals between samples in which the wanted jumps happen, (n - 1, J)."""
+    """Whether the path crosses each wanted jump between two samples, (n - 1, J)."""
     out = np.zeros((len(path) - 1, len(layout.jumps)), dtype=np.bool_)
     evaluate = Evaluator(_columns(layout, series, path))
     for j in np.flatnonzero(wanted):
@@ -83,7 +84,7 @@ def crossings(layout: Layout, series: Series, path: Floats, wanted: Bools) -> Bo
 
 
 def first_blur(layout: Layout, series: Series, path: Floats, substeps: int = 1) -> Blur:
-    """Widths along a path of unknown error: the change of the arguments between samples where they jump."""
+    """Widths along a path of unknown error, from the change of the arguments between samples that enclose a jump."""
     n, size = path.shape
     if not layout.jumps:
         return Blur(np.zeros((n, 0)), np.zeros(series.samples.shape), np.zeros((n - 1, layout.chains)))
@@ -101,9 +102,10 @@ def blur_of(
     theta: Floats,
     substeps: Ints,
 ) -> Blur:
-    """Widths along smoothed states, a path (n, S) with covariance (n, S, S), of the model `chosen`, `theta`.
+    """Widths of jumps along a smoothed path, (n, S), with covariance (n, S, S), for the model `chosen`, `theta`.
 
-    `push`, (n - 1, S, C), is what a force of 1 in each equation does to the states in a step of `substeps`, (n - 1,).
+    `push`, (n - 1, S, C), is the change of the states over an interval by a force of 1 in each equation; `substeps`,
+    (n - 1,), is the number of integration steps of each interval.
     """
     n, columns = len(path), _columns(layout, series, path)
     if layout.implicit:
@@ -157,7 +159,7 @@ def _held(
     half: Floats,
     share: Floats,
 ) -> NDArray[np.intp]:
-    """Intervals in which both sides of a sign drive its argument to zero, and at whose end it may be zero."""
+    """Intervals in which both sides of a sign drive its argument to zero and at whose end the sign is unresolved."""
     target = path[:, layout.discrepancy].copy()
     for c, t, value in zip(chosen.chain, chosen.term, theta.tolist(), strict=True):
         target[:, c] += value * (middle_of_jump(layout.terms[t], jump, evaluate) if t < len(layout.terms) else 1.0)
@@ -174,12 +176,12 @@ def _held(
 
 
 def _at_both_ends(values: Floats) -> Floats:
-    """At each sample the larger of the values of the two intervals beside it."""
+    """At each sample the larger of the values of the two adjacent intervals."""
     return np.maximum(np.append(values, 0.0), np.append(0.0, values))
 
 
 def _gradient(columns: Mapping[str, Floats], names: Sequence[str], covariance: Floats, argument: Expression) -> Floats:
-    """Derivatives of an argument by the states, (n, S), over their errors."""
+    """Derivatives of an argument by the states, (n, S): differences over one standard deviation of each."""
     values, out = Evaluator(columns)(argument), np.zeros(covariance.shape[:2])
     for i, name in enumerate(names):
         if name in argument.names:
@@ -190,7 +192,7 @@ def _gradient(columns: Mapping[str, Floats], names: Sequence[str], covariance: F
 
 
 def _halves(layout: Layout, chosen: Candidates, theta: Floats, j: int, evaluate: Evaluator, n: int) -> Floats:
-    """Half of the jump of each equation, (n, C)."""
+    """Half of the change of each equation's right-hand side across jump j, (n, C)."""
     out = np.zeros((n, layout.chains))
     for c, t, value in zip(chosen.chain, chosen.term, theta.tolist(), strict=True):
         if t < len(layout.terms):

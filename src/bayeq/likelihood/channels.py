@@ -1,12 +1,12 @@
-"""Factors and lags of channels as the likelihood finds them; and channels that are off.
+"""Factors and lags of channels, estimated by the likelihood; and tests for channels that are off.
 
-A channel that may be off by a factor is a measurement ``(1 + g) s`` of s, about s as it is along the path: the filter
-of these samples alone gives the derivative of the innovations by g, beside those by the coefficients. It is one number
-for all records.
+A channel whose factor is uncertain measures ``(1 + g) s`` of a signal s, which the path gives: filtering s by itself
+gives the derivative of the innovations by g, as the columns of the candidates give those by the coefficients. There is
+one g for all records.
 
-A lag is a state that nothing moves (`bayeq.likelihood.layout`), known at first by its prior: coefficients, levels,
-evidence and selection are those with the lags integrated out. What a channel sees is linear in its lag only where that
-is short; so lags are taken out of the samples, and learned again, until little of them is left.
+A lag is a constant state (`bayeq.likelihood.layout`) with a prior: coefficients, levels, evidence and selection are
+those with the lags integrated out. A channel is linear in its lag only if the lag is short; so estimated lags are
+removed from the samples, and lags are estimated again, until little of them is left.
 """
 
 from __future__ import annotations
@@ -29,24 +29,24 @@ from bayeq.numerics.spline import spline_slopes
 from bayeq.states import Gain, Lag, Motion
 from bayeq.states.sensors import bridged
 
-# A channel is named whose factor, lag or offset explains what is left by more standard deviations: laws that lack a
-# term stay below 6, sensors that are off exceed 14 (`tests/test_gains.py`); and moves its samples by more than a share.
+# A channel is suspect if its factor, lag or offset is off by more standard deviations (laws that lack a term stay below
+# 6, sensors that are off exceed 14: `tests/test_gains.py`) and changes its samples by more than a share of their sd.
 SUSPECTED, AS_SAID = 8.0, 1e-3
 
-# What is learned of a channel contradicts what was said of it by more of the standard deviations that were given.
+# An estimated factor or lag contradicts what was stated of the channel beyond this many stated standard deviations.
 CONTRADICTED = 4.0
 
 
 class Calibration(NamedTuple):
-    """What is known of the factors of some channels."""
+    """Estimated calibration factors of channels."""
 
     gains: Mapping[str, Gain]  # by the names of the channels
     covariance: Floats  # of the factors, coefficients integrated out
-    moved: float  # how far they are from what was taken out of the samples, in standard deviations
+    moved: float  # distance from the factors that were removed from the samples, in standard deviations
 
 
 def calibration_of(task: Task, state: State, power: float = 1.0) -> Calibration:
-    """Factors of channels about a fit, what was taken out included; the likelihood is raised to `power`."""
+    """Factors of channels about a fit, relative to the samples as measured; the likelihood is raised to `power`."""
     uncertain = task.layout.uncertain
     if not uncertain:
         return Calibration({}, np.zeros((0, 0)), 0.0)
@@ -68,17 +68,17 @@ Off = Literal["factor", "lag", "offset", "filter"]
 
 
 class Suspect(NamedTuple):
-    """A channel whose factor, lag or offset would explain much of what is left, or that was filtered."""
+    """A channel whose factor, lag or offset would explain much of the residual, or that was low-pass filtered."""
 
     channel: str
     off: Off
-    # by what share its samples are too large, how late [s], by how much [unit of the channel], above what [Hz]
+    # factor less 1, lag [s], offset [unit of the channel], or, if filtered, frequency [Hz] above which noise is missing
     value: float
-    sds: float = 0.0  # the size of that in standard deviations
+    sds: float = 0.0  # size of `value` in standard deviations
 
 
 def suspects_of(task: Task, state: State, here: Statistics) -> tuple[Suspect, ...]:
-    """Channels that the others contradict, one at a time, by score tests, or that what was said of them contradicts."""
+    """Channels that others contradict, by score tests of one at a time, or whose estimates contradict their prior."""
     layout, compared = task.layout, set(task.layout.roles.compared)
     lowest = {next(filter(None, chain.measured), None) for chain in layout.roles.chains}
     open_to: dict[Off, set[str]] = {"factor": compared, "lag": compared.union(layout.roles.inputs)}
@@ -106,7 +106,7 @@ def suspects_of(task: Task, state: State, here: Statistics) -> tuple[Suspect, ..
     squares = np.maximum(np.diagonal(found.information), np.finfo(np.float64).tiny)
     values = found.slope / squares
     for k in np.flatnonzero(np.abs(values) * found.shares > AS_SAID).tolist():
-        # noise that is not white makes the slope less certain: by the scores with the channel put right
+        # noise that is not white makes the slope less certain: by how much, the scores of the corrected channel show
         change, (i, off) = found.changes[..., k], sought[k]
         scores = (change * (found.left - values[k] * change)).sum(axis=1, keepdims=True) / np.sqrt(squares[k])
         excess, _ = excess_of(np.split(scores, found.ends))
@@ -117,18 +117,18 @@ def suspects_of(task: Task, state: State, here: Statistics) -> tuple[Suspect, ..
 
 
 class _Directions(NamedTuple):
-    """How the innovations of all records change with what channels are off by, coefficients integrated out."""
+    """Changes of the innovations of all records by errors of channels, with the coefficients integrated out."""
 
-    left: Floats  # (n, M), standardised innovations of the records, one behind the other
-    changes: Floats  # (n, M, G), their derivatives, less what coefficients make up for
-    ends: list[int]  # where a record ends and the next begins
-    information: Floats  # (G, G)
-    slope: Floats  # (G,)
-    shares: Floats  # (G,), what each changes its channel by, as a share of the channel's standard deviation
+    left: Floats  # (n, M), standardised innovations of the records, one record after the other
+    changes: Floats  # (n, M, G), their changes by a unit of each error, less the part that coefficients can explain
+    ends: list[int]  # rows at which a record ends and the next begins
+    information: Floats  # (G, G), on the errors
+    slope: Floats  # (G,), derivative of the log likelihood by the errors
+    shares: Floats  # (G,), change of the channel by a unit of each error, as a share of its standard deviation
 
 
 def _directions(task: Task, state: State, here: Statistics, sought: Sequence[tuple[int, Off]]) -> _Directions:
-    """Those of channels, each with what is sought of it."""
+    """The changes by the errors `sought`, each given by the number of its channel and its kind."""
     pieces, square = [], np.zeros(len(sought))
     still = state.levels.noise._replace(mean=np.zeros(task.layout.size))
     for one, linear, filtered in zip(task.series, task.linearised(state), here.filtered, strict=True):
@@ -159,13 +159,13 @@ def _directions(task: Task, state: State, here: Statistics, sought: Sequence[tup
     )
 
 
-# Lags of inputs are first sought among whole samples, up to this many standard deviations, this many of them each way
-# at most, in this many rows of the longest record.
+# Lags of inputs are first sought among whole samples: up to this many prior standard deviations, at most this many
+# values each way, in the first of this many rows of the longest record.
 REACH, EACH_WAY, ROWS = 3.0, 50, 4000
 
 
 def first_lags(motion: Motion, terms: Sequence[Expression]) -> Mapping[str, Lag]:
-    """Lags of inputs by which all terms together explain most of the smoothed rows; 0 of other channels."""
+    """Lags of channels: for inputs those with which all terms explain the smoothed rows best, for others as given."""
     rows, out = max(motion.train, key=lambda one: one.n), dict(motion.sensors.lags)
     rows = rows.part(slice(0, ROWS))
     assert rows.time is not None
@@ -190,7 +190,7 @@ def first_lags(motion: Motion, terms: Sequence[Expression]) -> Mapping[str, Lag]
 
 
 def lags_of(task: Task, state: State, power: float = 1.0) -> Mapping[str, Lag]:
-    """Lags of channels about a fit, what was taken out included, averaged over records; `power` as for factors."""
+    """Lags of channels about a fit, of the samples as measured, averaged over records; `power` as for factors."""
     found, out = task.marginal(state), {}
     for (channel, lag), s in zip(task.layout.late, task.layout.lags, strict=True):
         known, weights, total = lag.prior_sd**-2.0, 0.0, 0.0
@@ -198,7 +198,7 @@ def lags_of(task: Task, state: State, power: float = 1.0) -> Mapping[str, Lag]:
             by_theta = one.mean[-1, s, 1:]
             value = lag.value + path[-1, s] + one.mean[-1, s, 0] + by_theta @ found.delta
             variance = one.covariance[-1, s, s] + by_theta @ found.covariance @ by_theta
-            # what the record tells beside the prior of mean 0
+            # the information of this record alone, without the prior of mean 0
             total += value / variance
             weights += max(1.0 / variance - known, 0.0)
         precision = power * weights + known

@@ -1,4 +1,4 @@
-"""The courses of inputs between their samples: others are tried, and taken where the motion is likelier."""
+"""The courses of inputs between samples (their interpolation): others are tried, and taken if clearly likelier."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from bayeq.states import Motion
 
 
 def with_other_inputs(motion: Motion, task: Task, best: Fitted) -> tuple[Task, Fitted]:
-    """The fit, or one with other courses of inputs between samples where the motion is then clearly likelier.
+    """The fit, or one with other courses of inputs between samples if the motion is then clearly likelier.
 
-    Another course moves coefficients by more than noise does: `Task.between` is the spread over courses. Where channels
-    may be late, or lag behind by a law, terms and constants make up for a wrong course, so that each is compared with
-    those that suit it.
+    Another course may move coefficients by more than noise does: `Task.between` gets their second moments over courses.
+    If channels may be late, or there are hidden states, terms and constants can compensate for a wrong course, so that
+    each course is compared after a search for its own terms and constants.
     """
     lagging = task.layout.late or bool(task.layout.roles.hidden)
     for k in range(len(task.layout.roles.inputs)):
@@ -44,7 +44,7 @@ def with_other_inputs(motion: Motion, task: Task, best: Fitted) -> tuple[Task, F
         if of_likeliest(*likeliest) - of_likeliest(*tried[0]) > CLEARLY:
             there, state = likeliest[0], likeliest[1].state
             try:
-                # with suitable terms it has been searched already
+                # `with_suitable` has already searched its terms
                 pairs = [(task, best), likeliest if lagging else on_the_way(there, state)]
                 most = max(one.state.levels.kappa.max() for _, one in pairs)
                 if best.averages is not None or most >= LIKELIHOOD.adequate:
@@ -58,7 +58,7 @@ def with_other_inputs(motion: Motion, task: Task, best: Fitted) -> tuple[Task, F
 
 
 def spread_over(tried: Sequence[tuple[Task, Fitted]], taken: Course, k: int) -> Floats:
-    """Second moments of coefficients about those of the course taken, over courses of input k, (C (P + 1),) squared."""
+    """Second moments, (C (P + 1),) squared, of coefficients over courses of input k, about those of course `taken`."""
     kinds: dict[Course, tuple[float, Floats]] = {}
     for i, (task, fitted) in enumerate(tried):
         theta = np.zeros(len(task.precision))
@@ -71,7 +71,7 @@ def spread_over(tried: Sequence[tuple[Task, Fitted]], taken: Course, k: int) -> 
 
 
 def with_suitable(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fitted]:
-    """A fit with the constants and terms that suit its course; itself where these cannot be evaluated."""
+    """The fit after a search for the constants and terms of its course; itself if these cannot be evaluated."""
     try:
         there, found = settled(motion, task, fitted)
         return on_the_way(there, found.state)
@@ -80,17 +80,17 @@ def with_suitable(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fit
 
 
 def of_likeliest(task: Task, fitted: Fitted) -> float:
-    """`of_motion` with the likeliest discrepancies, as coarse fits have it."""
+    """`of_motion` at the likeliest sizes of discrepancies, not averaged over sizes: comparable with coarse fits."""
     return of_motion(task, fitted) - (0.0 if fitted.averages is None else float(fitted.averages.sum()))
 
 
 def at_once(task: Task, state: State) -> float:
-    """`of_motion` of a start, up to the prior of its model."""
+    """`of_motion` at a start, before any fit and without the prior of its model."""
     return task.value(state) - of_inputs(task.linearised(state), state.levels)
 
 
 def noisier(task: Task, state: State, k: int) -> State:
-    """The state with much noise in input k, so that a discrepancy does not explain that noise."""
+    """The state with the noise of input k raised to `input_noise`, so that a discrepancy does not explain it."""
     levels, i = state.levels, task.layout.first_input + k
     if not levels.learned[i]:
         return state

@@ -4,9 +4,9 @@ The data and the columns of the candidates go through one filter with the same g
 innovations E of the columns and their variance S give the information sum E'E/S of the coefficients.
 
 The filter and its adjoint (`bayeq.likelihood.adjoint`) carry vectors and a matrix of the states side by side in the
-rows of one array, so that a transition or a sample changes all of them in the same loops: of the filter the means, then
-their covariance; of the adjoint the adjoints, then their information. Rows are padded to whole blocks of `LANES`, which
-compilers turn into vectors.
+rows of one array, so that a transition or a sample changes all of them in the same loops: the filter the means, then
+their covariance; the adjoint its vectors, then their information. Rows are padded to whole blocks of `LANES`, which
+compilers vectorise.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from bayeq.likelihood.layout import Candidates
 from bayeq.likelihood.linear import Linear, sources_of
 from bayeq.likelihood.steps import arrays
 
-# Numbers that a processor handles at once, at least.
+# Rows are padded to a multiple of this many floats, for vector instructions.
 LANES = 16
 
-# Numbers of innovations, 256 kB, that stay in a processor's cache until they are summed.
+# Floats of innovations (256 kB) that are filtered before they are summed, so that they stay in the processor's cache.
 TOGETHER = 2**15
 
 
@@ -32,11 +32,11 @@ class Noise(NamedTuple):
     """Variances of noise, steps and first states."""
 
     channels: Floats  # (M,), variances R of the channels' noise
-    memory: Floats  # (S,), what is left of a state after a sample: 1 but for discrepancies and slopes
-    steps: Floats  # (S,), variances of what is then added
-    mean: Floats  # (S,), of the states at the first sample
-    start: Floats  # (S,), their variance there
-    # (L,), variance of what the course of each input between samples errs by, as a share of the square of its bends
+    memory: Floats  # (S,), factor of each state from sample to sample: 1 except for discrepancies
+    steps: Floats  # (S,), variances of the random steps that are then added
+    mean: Floats  # (S,), prior means of the states at the first sample
+    start: Floats  # (S,), their prior variances
+    # (L,), variance of the interpolation error of each input between samples, as a share of its squared bends
     courses: Floats
 
 
@@ -45,15 +45,15 @@ class Filtered(NamedTuple):
 
     innovation: Floats  # (n, M, 1 + r), of the data, then the derivatives of the prediction by each coefficient
     variance: Floats  # (n, M), of the innovations; 0 where there is no sample
-    gain: Floats  # (n, M, S), of each sample
+    gain: Floats  # (n, M, S), Kalman gain of each sample
     mean: Floats  # (n, S, 1 + r), filtered deviation from the path, then its derivatives by each coefficient
     covariance: Floats  # (n, S, S), of the filtered states
     product: Floats  # (1 + r, 1 + r), sum of the innovations' products over their variances
     log_variance: float  # sum of ln 2 pi S
 
     def standardised(self, delta: Floats) -> tuple[Floats, Floats]:
-        """Innovations (n, M), coefficients `delta` from those of the filter, and their derivatives by these (n, M, r),
-        in standard deviations; 0 where there is no sample."""
+        """Standardised innovations (n, M), with coefficients moved by `delta`, and the predictions' derivatives by the
+        coefficients (n, M, r), in the same units; 0 where there is no sample."""
         known = self.variance > 0.0
         sd = np.sqrt(np.where(known, self.variance, 1.0))[..., None]
         standard = np.where(known[..., None], self.innovation / sd, 0.0)
@@ -61,19 +61,19 @@ class Filtered(NamedTuple):
 
 
 class _Running(NamedTuple):
-    """Where a recursion stands, and its work space; W is the padded width of a row."""
+    """State and work space of the recursion; W is the padded width of a row."""
 
     # (2, S, W), the rows: vectors, one for the data and one for each coefficient, then a matrix. At even samples they
     # stand in ``work[0]``, at odd ones in ``work[1]``.
     work: Floats
     step: Floats  # (S, S), work space of a transition
-    lines: Floats  # (1, W), what is left of a sample
+    lines: Floats  # (1, W), a sample's prediction error, its derivatives, and its covariances with the states
     scaled: Floats  # (rows M, 1 + r), innovations over their standard deviation
     variance: Floats  # (rows M,), of the innovations
 
     @classmethod
     def at_start(cls, linear: Linear, chosen: Candidates, noise: Noise) -> _Running:
-        """Before the first sample: means of the deviation, its derivatives by each coefficient; covariance."""
+        """The recursion before the first sample, with prior means of the deviation from the path and covariance."""
         size, channels, r = linear.path.shape[1], len(linear.kinds), len(chosen.chain)
         work = np.zeros((2, size, padded(1 + r + size)))
         work[0, :, 0] = noise.mean - linear.path[0]
@@ -84,7 +84,7 @@ class _Running(NamedTuple):
 
 
 def padded(width: int) -> int:
-    """The width of rows that hold this many numbers, padded."""
+    """Width of a row of this many numbers, padded to a multiple of `LANES`."""
     return -(-width // LANES) * LANES
 
 
@@ -98,8 +98,8 @@ def rows_together(channels: int, r: int) -> int:
 def multiply(
     A: Floats, k: int, memory: Floats, back: bool, related: Ints, step: Floats, work: Floats, now: int
 ) -> None:
-    """B times the rows of ``work[now]``, into the other ones; B = diag(memory) A[k], or its transpose, into `step`: the
-    diagonal, and what may be other than 0 beside it, as `related` lists it."""
+    """Puts B times the rows of ``work[now]`` into the other half of `work`: B = diag(memory) A[k], or its transpose if
+    `back`. `step` receives the entries of B: the diagonal, then the off-diagonal ones that `related` lists."""
     size, width = work.shape[1:]
     then = 1 - now
     for i in range(size):
@@ -117,7 +117,7 @@ def multiply(
 
 @kernel(borrowing=True)
 def close(related: Ints, step: Floats, work: Floats, then: int, lines: Floats, start: int) -> None:
-    """The matrix B M of `multiply` becomes B M B', exactly symmetric."""
+    """Turns the matrix B M that `multiply` left into B M B', exactly symmetric."""
     size = work.shape[1]
     for i in range(size):
         for j in range(i + 1):
@@ -131,7 +131,7 @@ def close(related: Ints, step: Floats, work: Floats, then: int, lines: Floats, s
 
 @kernel(borrowing=True)
 def combine(factors: Floats, k: int, c: int, work: Floats, which: int, lines: Floats) -> None:
-    """The sum of factors [k, c] times the rows of ``work[which]``, into ``lines[0]``."""
+    """Puts the sum of ``factors[k, c]`` times the rows of ``work[which]`` into ``lines[0]``."""
     size, width = work.shape[1:]
     factor = factors[k, c, 0]
     for j in range(width):
@@ -148,7 +148,7 @@ def combine(factors: Floats, k: int, c: int, work: Floats, which: int, lines: Fl
 
 @kernel(borrowing=True)
 def _add_sources(sources: Floats, k: int, work: Floats, now: int) -> None:
-    """Adds what coefficients do in a step to the derivatives of the means."""
+    """Adds the derivatives of a step's end by the coefficients, ``sources[k]``, to those of the means."""
     for i in range(sources.shape[1]):
         for j in range(sources.shape[2]):
             work[now, i, 1 + j] += sources[k, i, j]
@@ -158,7 +158,7 @@ def _add_sources(sources: Floats, k: int, work: Floats, now: int) -> None:
 def _add_force(
     transition: Floats, k: int, d: int, variance: float, motion: int, work: Floats, now: int, start: int
 ) -> None:
-    """Adds the noise of a force over a step, which acts as discrepancy d does, to the covariance."""
+    """Adds a random force of this variance over step k, which acts as discrepancy d does, to the covariance."""
     for i in range(motion):
         for j in range(motion):
             work[now, i, start + j] += variance * transition[k, i, d] * transition[k, j, d]
@@ -210,7 +210,7 @@ def _forward(
     at: _Running,
     out: Filtered,
 ) -> int:
-    """Samples from `first` to `stop`, with their `sources`; returns how many innovations now stand in ``at.scaled``."""
+    """Filters samples `first` to `stop`, given their `sources`; returns the number of innovations in ``at.scaled``."""
     path, end, transition, gradient, residual, kinds, follows = linear[:7]
     added, memory, steps = noise.channels, noise.memory, noise.steps
     spread, unresolved, terms = linear.spread, linear.unresolved, linear.terms
@@ -268,9 +268,9 @@ def _forward(
 
 
 def run_filter(linear: Linear, chosen: Candidates, noise: Noise, keep: bool = True) -> Filtered:
-    """A record filtered with the columns of the chosen candidates beside the data.
+    """Filter a record: the data together with the columns of the chosen candidates.
 
-    `keep` asks for what `adjoint` needs; without, there are no rows but in the sums.
+    `keep` stores the rows that `adjoint` needs; without it only the sums are returned, and other arrays are empty.
     """
     (n, size), channels, r = linear.path.shape, len(linear.kinds), len(chosen.chain)
     rows = n if keep else 0

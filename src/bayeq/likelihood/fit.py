@@ -17,22 +17,23 @@ from bayeq.likelihood.linear import Linear, derivatives_along, linearise, terms_
 from bayeq.numerics.minimise import minimise
 from bayeq.numerics.settings import LIKELIHOOD
 
-# Intervals between sizes of a discrepancy beside the likeliest are halved, at most this often.
+# Intervals next to the peak of a grid of discrepancy sizes are halved, at most this often.
 MOST_HALVED = 8
 
-# The likelihood is level where it changes by less from a size to the next [nats], and nothing this far below the top.
+# Over sizes the log likelihood counts as flat where it changes by less from one to the next, and as -inf this far below
+# its peak [nats].
 LEVEL, NOTHING_LEFT = 0.01, 30.0
 
-# Matrices of unit diagonal with a pivot of no more than this may be singular.
+# A matrix of unit diagonal counts as singular if its least Cholesky pivot is at most this.
 LEAST_PIVOT = 1e-4
 
-# Levels move by no more than this in a step, of logarithms mostly.
+# Largest step of a level in `Levels.free`: in the logarithm of a variance or the logit of a memory.
 LONGEST = 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Where a fit stands."""
+    """A point of a fit: model, coefficients, paths, levels, and widths of jumps."""
 
     chosen: Candidates  # coefficients that are not zero
     theta: Floats  # (r,), their values
@@ -48,7 +49,7 @@ class State:
     def moved(
         self, layout: Layout, series: Sequence[Series], linears: Sequence[Linear], found: Sequence[Adjoint]
     ) -> State:
-        """The state on smoothed paths, jumps as wide as these are uncertain."""
+        """The state on the smoothed paths, with the widths of jumps from the covariance of these paths."""
         paths = tuple(path + adj.deviation for path, adj in zip(self.paths, found, strict=True))
         blurs = tuple(
             blur_of(
@@ -79,7 +80,7 @@ class Quadratic:
         return Quadratic(self.level + other.level, self.slope + other.slope, self.information + other.information)
 
     def raised(self, power: float) -> Quadratic:
-        """The quadratic of the likelihood to a power."""
+        """The quadratic of the likelihood raised to a power."""
         return self if power == 1.0 else Quadratic(power * self.level, power * self.slope, power * self.information)
 
 
@@ -88,7 +89,7 @@ class Statistics:
     """The marginal likelihood of a linearised model, and what it is made of."""
 
     value: float  # ln p(data | levels), coefficients integrated out
-    here: float  # the same without what moving the coefficients by `delta` promises
+    here: float  # the same without the gain by moving the coefficients by `delta`
     delta: Floats  # (r,), posterior mean of the coefficients' deviations
     covariance: Floats  # (r, r), of the coefficients
     filtered: tuple[Filtered, ...]  # of each record
@@ -120,7 +121,7 @@ def quadratic(filtered: Sequence[Filtered]) -> Quadratic:
 
 
 def of_stated(stated: Sequence[Stated], chosen: Candidates, theta: Floats) -> Quadratic:
-    """The log likelihood of what is stated of coefficients, about some values of those that are not zero."""
+    """The log density of stated normal priors on sums of coefficients, about the values `theta` of the chosen ones."""
     r = len(theta)
     level, slope, information = 0.0, np.zeros(r), np.zeros((r, r))
     for parts, mean, sd in stated:
@@ -135,7 +136,7 @@ def of_stated(stated: Sequence[Stated], chosen: Candidates, theta: Floats) -> Qu
 
 
 def solved(A: Floats, B: Floats) -> Floats:
-    """A^-1 B of a positive matrix that may be singular; B (r,) or (r, k)."""
+    """A^-1 B of a matrix with positive diagonal, by least squares if it is nearly singular; B (r,) or (r, k)."""
     if not (np.diagonal(A) > 0.0).all():
         raise np.linalg.LinAlgError("no positive matrix")
     unit = 1.0 / np.sqrt(np.diagonal(A))
@@ -171,7 +172,7 @@ def marginal(
 
 
 def of_inputs(linears: Sequence[Linear], levels: Levels) -> float:
-    """ln p of the samples of inputs alone."""
+    """Log likelihood of the samples of inputs alone."""
     layout = levels.layout
     if not layout.roles.inputs:
         return 0.0
@@ -184,12 +185,12 @@ def of_inputs(linears: Sequence[Linear], levels: Levels) -> float:
 
 
 def log_mean(log_of: Callable[[float], float], low: float, high: float, peak: float) -> tuple[float, float]:
-    """ln of the mean of a positive function between two numbers, and where it is largest, given about a peak."""
+    """ln of the mean over [low, high] of the function with the logarithm `log_of`, and its argmax, about `peak`."""
     peak = min(max(peak, low), high)
     grid = np.linspace(low, high, LIKELIHOOD.discrepancy_sizes).tolist()
     at, logs = [peak], [log_of(peak)]
     for x in [x for x in reversed(grid) if x < peak]:
-        level = len(at) > 2 and abs(logs[0] - logs[1]) < LEVEL  # two sizes below the peak
+        level = len(at) > 2 and abs(logs[0] - logs[1]) < LEVEL  # only from two sizes below the peak
         at, logs = [x, *at], [logs[0] if level else log_of(x), *logs]
     for x in [x for x in grid if x > peak]:
         at.append(x)
@@ -232,8 +233,8 @@ def maximised(
 ) -> tuple[Levels, Statistics]:
     """Levels that maximise the marginal likelihood of a linearised model; those `held`, or known, stay.
 
-    The search ends where a step gains no more than `tolerance` nats, or the slope by each level, in units of its
-    standard deviation if nothing else were unknown, is at most `steepest`.
+    The search ends when a step gains no more than `tolerance` nats, or when the derivative by each level, times the
+    level's approximate standard deviation given all others, is at most `steepest`.
     """
     levels = state.levels
     low, high = levels.bounds
@@ -242,7 +243,7 @@ def maximised(
     if held.any():
         low, high = np.where(held, start, low), np.where(held, start, high)
     unit = 1.0 / np.sqrt(np.maximum(levels.curvature(linears), 1.0))
-    # less that at the start: what is compared does not depend on the units of the channels
+    # values are relative to that at the start, so that tolerances do not depend on the units of the channels
     base: float | None = None
     last: tuple[Floats, Statistics] | None = None
 
@@ -276,7 +277,7 @@ def maximised(
 
 
 def corrections(layout: Layout, linears: Sequence[Linear], found: Sequence[Adjoint]) -> Floats:
-    """Derivatives of the determinant's part of the likelihood by every coefficient, (C, P + 1)."""
+    """Derivatives of the log determinant's part of the log likelihood by every coefficient, (C, P + 1)."""
     out = np.zeros((layout.chains, len(layout.terms) + 1))
     for linear, adj in zip(linears, found, strict=True):
         out += derivatives_along(linear, adj.at_samples, adj.between)
@@ -286,7 +287,7 @@ def corrections(layout: Layout, linears: Sequence[Linear], found: Sequence[Adjoi
 def improved(
     layout: Layout, series: Sequence[Series], linears: Sequence[Linear], state: State, found: Statistics
 ) -> tuple[State, Floats]:
-    """One Gauss-Newton step of coefficients and paths; also `corrections`, the derivatives of the determinant."""
+    """One Gauss-Newton step of coefficients and paths; also `corrections`, the derivatives of the log determinant."""
     first = adjoints(linears, state.levels, found, found.delta, curved=True)
     curved = corrections(layout, linears, first)
     delta = found.delta + found.covariance @ curved[state.chosen.chain, state.chosen.term]
@@ -295,7 +296,7 @@ def improved(
 
 
 def information(layout: Layout, linears: Sequence[Linear], state: State, curved: Floats) -> Quadratic:
-    """The likelihood of all candidates about zero: what models are compared on."""
+    """The log likelihood of all candidates, expanded about zero, on which models are compared."""
     every = layout.everything
     filtered = [run_filter(linear, every, state.levels.noise, keep=False) for linear in linears]
     theta = coefficients(layout, state)

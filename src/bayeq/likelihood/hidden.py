@@ -1,4 +1,4 @@
-"""First values of the constants of stated laws, by which hidden states begin."""
+"""Hidden states: first paths and constants, the equations that contain them, and laws that were found."""
 
 from __future__ import annotations
 
@@ -24,30 +24,30 @@ from bayeq.numerics.distributions import correlation
 from bayeq.states import Chain, Motion, Roles
 from bayeq.states.motion import with_columns, with_hidden
 
-# Values of all constants that are tried first, about; rows of the regression that each is judged by, at most.
+# About how many values of all constants are tried first; most rows of the regression that each is scored on.
 GRID, ROWS = 400, 4000
 
-# Searches start from this many peaks of the grid, the highest, if they explain this share of what the highest of all
-# does above the lowest value. A peak is sought within its nodes by TRIES values; the highest is at an end of the grid
-# beyond this share of the way there from the middle.
+# Searches start from the STARTS highest peaks of the grid, at most, that reach the share WORTH of the way from the
+# lowest score to the highest. A peak is refined between its adjacent nodes by TRIES values; the highest counts as at an
+# end of the grid beyond the share AT_END of the way there from the middle.
 STARTS, WORTH, TRIES, AT_END = 3, 0.5, 100, 0.99
 
-# Shares of the coordinate's coefficient that a hidden state has at first beside what the other terms leave.
+# A first path of a hidden state is the residual of the other terms plus one of these shares of the coordinate's term.
 SHARES = (0.0, 0.3, 0.6, 0.9)
 
-# Springs of a hidden coordinate are sought within this factor of the ratio of acceleration and displacement of a
-# measured one, dampers within these of the root of that, at DAMPERS nodes, springs at FEWEST or more.
+# Grid for a hidden coordinate: springs within the factor STIFFNESS of the ratio of acceleration to displacement of a
+# measured one, at FEWEST or more nodes; dampers at DAMPING times the root of that ratio, at DAMPERS nodes.
 STIFFNESS, DAMPING, DAMPERS, FEWEST = 30.0, (0.01, 1.0), 4, 6
 
-# A relaxation is sought from this share of the sampling interval to this many times the record.
+# Relaxation times are sought from this share of the sampling interval to this many times the length of the record.
 FASTEST, SLOWEST = 0.5, 2.0
 
 
 def with_first_laws(motion: Motion, roles: Roles, terms: Sequence[Expression], allowed: Bools) -> list[Motion]:
-    """The motion with hidden states, and values of the constants of their laws, one for each start of a search.
+    """The motion with hidden states, integrated with first values of constants: one for each start of a search.
 
     The motion is without the hidden states, the roles are with them; `allowed`, (C, P), says which terms each equation
-    may have. An InputError refuses a constant whose range has to be written, and laws that are finite for no values.
+    may have. An InputError names a constant whose range has to be given, or laws that are finite for no values.
     """
     constants = _ranges(roles, motion)
     nodes = min(NODES, max(3, int(GRID ** (1.0 / max(len(constants), 1)))))
@@ -81,8 +81,8 @@ def _at_peaks(
     nodes: Sequence[int],
     inner: Sequence[str] = (),
 ) -> list[Motion]:
-    """The motion with hidden states at the likeliest values of some constants, on a grid and about its nodes: none at
-    the ends of the constants `inner`. Empty where no values do."""
+    """The motion with hidden states at the likeliest values of `constants`, from a grid refined about its peaks; none
+    is at an end of the constants `inner`. Empty if the laws are finite for no values."""
 
     def values(at: Sequence[float]) -> dict[str, Unknown]:
         return {one.name: replace(one, value=to_plain(one, x)) for one, x in zip(constants, at, strict=True)}
@@ -90,7 +90,7 @@ def _at_peaks(
     def score(at: Sequence[float]) -> float:
         try:
             found = with_hidden(motion, at_values(roles, values(at)))
-        except InputError:  # it blows up
+        except InputError:  # the law blows up
             return -math.inf
         return _explained(found, [term.with_unknowns(values(at)) for term in terms], allowed)
 
@@ -105,7 +105,7 @@ def _at_peaks(
 def _peaks(
     score: Callable[[Sequence[float]], float], places: Sequence[Floats], inner: Bools
 ) -> list[tuple[float, ...]]:
-    """Where a score is highest on a grid, within nodes about its peaks, none at the ends of axes `inner`, (n,)."""
+    """Maxima of a score: peaks of a grid, refined between adjacent nodes; none is at an end of axes `inner`, (n,)."""
     from scipy.ndimage import maximum_filter
     from scipy.optimize import minimize
 
@@ -148,9 +148,9 @@ class Seen(NamedTuple):
 
 
 def seen_in(chain: Chain, roles: Roles, terms: Sequence[Expression], allowed: Bools) -> list[Seen]:
-    """Where a hidden state is a factor, by itself if anywhere, which sets its scale; otherwise all its differences.
+    """The term in which a hidden state is a factor, preferably by itself, which sets its scale; else all differences.
 
-    An InputError says that there is neither, and refuses another term than differences of a coordinate of second order.
+    An InputError says that there is neither, or that a state of second order occurs other than in differences.
     """
     z, found = chain.names[0], []
     for j, c in np.argwhere(allowed[: len(roles.seen.chains)].T).tolist():
@@ -173,14 +173,14 @@ def seen_in(chain: Chain, roles: Roles, terms: Sequence[Expression], allowed: Bo
 
 
 def _at(term: Expression, columns: Mapping[str, Floats]) -> list[float]:
-    """A term where some names have these values and all others arbitrary ones."""
+    """Three values of a term at the given `columns`, with arbitrary constants for all other names."""
     rng = np.random.default_rng(0)
     given = {name: np.full(3, rng.uniform(0.5, 1.5)) for name in sorted(term.names)}
     return np.broadcast_to(Evaluator({**given, **columns})(term), 3).tolist()
 
 
 def _in_differences(term: Expression, roles: Roles) -> bool:
-    """Whether a term stays what it is where all coordinates, and all velocities, change by as much."""
+    """Whether a term is invariant to a common shift of all coordinates and to one of all velocities."""
     rng, columns = np.random.default_rng(1), dict[str, Floats]()
     for move in (np.array([0.0, 0.3, 0.7]), np.array([0.0, 0.5, 0.1])):
         at = 0 if not columns else 1
@@ -191,8 +191,8 @@ def _in_differences(term: Expression, roles: Roles) -> bool:
 def with_first_paths(motion: Motion, roles: Roles, terms: Sequence[Expression], allowed: Bools) -> list[Motion]:
     """The motion with first paths of a hidden state whose law is to be found, one for each start of a search.
 
-    Paths are what a regression of the equation that the state is a factor in leaves, and a share of its spring, if it
-    has one. A state in differences alone begins with springs and a damper.
+    A path is the residual of a regression, without the state, of the equation in which the state is a factor, plus a
+    share of the spring's term if there is one. A state in differences alone starts on springs and a damper.
     """
     (chain,) = roles.hidden
     seen = seen_in(chain, roles, terms, allowed)
@@ -208,7 +208,7 @@ def with_first_paths(motion: Motion, roles: Roles, terms: Sequence[Expression], 
 
 
 def _on_springs(motion: Motion, roles: Roles, terms: Sequence[Expression], allowed: Bools) -> list[Motion]:
-    """The motion with paths of a coordinate on springs, and on dampers alike, by which other equations explain most."""
+    """The motion with paths of a coordinate on the springs and dampers with which other equations explain most."""
     chain, beside, rows = roles.chains[-1], max(roles.seen.chains, key=lambda one: one.order), motion.train
     sizes = [np.concatenate([one.columns[name] for one in rows]).std() for name in (beside.target, beside.names[0])]
     pace = float(sizes[0] / sizes[1]) ** (1.0 / beside.order)
@@ -233,7 +233,7 @@ def _on_springs(motion: Motion, roles: Roles, terms: Sequence[Expression], allow
     springs = [one.name for one in constants if one is not damper]
     nodes = max(FEWEST, int((GRID / DAMPERS) ** (1.0 / max(len(springs), 1))))
     counts = [DAMPERS if one is damper else nodes for one in constants]
-    # at the ends of springs a hidden mass is none, and its force any acceleration
+    # at the ends of the springs' ranges a hidden mass is negligible, and its force may be any acceleration
     found = _at_peaks(motion, stated, terms, allowed, constants, counts, inner=springs)
     return [replace(one, roles=roles) for one in found]
 
@@ -241,8 +241,8 @@ def _on_springs(motion: Motion, roles: Roles, terms: Sequence[Expression], allow
 def _rest(
     motion: Motion, terms: Sequence[Expression], allowed: Bools, c: int
 ) -> tuple[list[Floats], list[Floats] | None]:
-    """What a regression of the smoothed rows of an equation leaves in each record, by terms without the hidden state;
-    also the part of the coordinate, or of an input of a static law, in what it explains."""
+    """Residual of equation c in each record, from a regression of its smoothed rows on terms without the hidden state;
+    also the fitted term of the coordinate, or of an input of a static law, None if there is none."""
     roles = motion.roles
     seen, hidden = roles.chains[c], set(roles.chains[-1].names)
     others = [term for term, mine in zip(terms, allowed[c], strict=True) if mine and not term.names & hidden]
@@ -268,14 +268,14 @@ def _rest(
 def _as_factor(
     motion: Motion, terms: Sequence[Expression], allowed: Bools, seen: Seen, rest: Sequence[Floats]
 ) -> Motion:
-    """The motion with the path of a state that is a factor of a term, from what others leave of its target."""
+    """The motion with the path of a state that is a factor of a term, from the residual `rest` of the other terms."""
     from scipy.ndimage import gaussian_filter1d
 
     (chain,), paths = motion.roles.hidden, []
     own = [term for term, mine in zip(terms, allowed[-1], strict=True) if mine]
     for rows, left in zip(motion.records, rest, strict=True):
         factor = evaluate_terms([terms[seen.term]], {**rows.columns, chain.names[0]: np.ones(rows.n)})[:, 0]
-        if np.ptp(factor) > 0.0:  # zero now and then
+        if np.ptp(factor) > 0.0:  # it may be zero at times
             width = max(1, _forgotten(left) // 4)
             weight = gaussian_filter1d(factor**2, width)
             left = gaussian_filter1d(factor * left, width) / np.maximum(weight, 1e-9 * weight.max())
@@ -288,7 +288,7 @@ def _as_factor(
 
 
 def _rates(motion: Motion, terms: Sequence[Expression], paths: Sequence[Mapping[str, Floats]]) -> list[Floats]:
-    """The rate of a hidden state by those of its candidates that its changes ask for, from its path in each record."""
+    """Rate of a hidden state in each record: its path's changes regressed on integrals of its candidates, selected."""
     from scipy.integrate import cumulative_trapezoid
 
     columns = [
@@ -309,19 +309,19 @@ def _rates(motion: Motion, terms: Sequence[Expression], paths: Sequence[Mapping[
 
 
 def _forgotten(path: Floats) -> int:
-    """After how many samples a path's correlation is half of that of the next one, which noise has no part in."""
+    """Lag in samples at which a path's autocorrelation is half of that at lag 1, to which white noise adds nothing."""
     centred = [path - path.mean()]
     found = correlation(centred, centred)[1 : max(2, len(path) // 2)]
     return 1 + int(np.argmax(found < 0.5 * found[0]))
 
 
 def with_found_laws(motion: Motion, terms: Sequence[Expression]) -> Motion:
-    """The motion with its hidden states integrated at the values that constants have in some terms."""
+    """The motion with its hidden states integrated at the values that constants have in `terms`."""
     return with_hidden(motion, at_values(motion.roles, constants_of(terms))) if motion.roles.hidden else motion
 
 
 def with_laws_of(motion: Motion, terms: Sequence[Expression], state: State) -> Motion:
-    """The motion with its hidden states integrated as a fit has it, unless a found law blows up from rest."""
+    """The motion with its hidden states integrated by the laws of a fit, unless a found law blows up from rest."""
     chains = list(motion.roles.chains)
     for c, chain in enumerate(chains):
         if chain.hidden and not chain.stated:
@@ -344,7 +344,7 @@ def at_values(roles: Roles, values: Mapping[str, Unknown]) -> Roles:
 
 
 def _explained(motion: Motion, terms: Sequence[Expression], allowed: Bools) -> float:
-    """The log likelihood of the measured equations' smoothed rows, all candidates in, up to a constant."""
+    """The log likelihood of the measured equations' smoothed rows with all candidates, up to a constant."""
     known = [j for j, term in enumerate(terms) if not any(math.isnan(one.value) for one in term.unknowns.values())]
     step = max(1, sum(rows.n for rows in motion.train) // ROWS)
     pieces = [rows.part(slice(None, None, step)) for rows in motion.train]
@@ -380,8 +380,8 @@ def _ranges(roles: Roles, motion: Motion) -> list[Unknown]:
 
 
 def _relaxations(name: str, law: Expression, constant: Unknown, motion: Motion) -> tuple[float, float] | None:
-    """Values for which a law relaxes, at the slowest over the record and at the fastest between two samples; None where
-    the law is not linear in its state, or its rate is no power of the constant."""
+    """Range of a constant, from the slowest relaxation (SLOWEST) to the fastest (FASTEST); None if the law is not
+    linear in its state and decaying, or if its rate is not a power of the constant."""
     others = {other.name: replace(other, value=middle(other)) for other in law.unknowns.values() if other != constant}
     columns: dict[str, Floats] = {key: np.full(1, values.mean()) for key, values in motion.train[0].columns.items()}
 

@@ -25,23 +25,23 @@ from bayeq.states import Gain, Lag, Roles, rates
 
 Course = Literal["smooth", "linear", "hold", "cubic", "band-limited"]
 
-# How a state goes between samples: as its derivatives say, straight to the next sample, or held until then.
+# How a state goes between samples: by the Taylor series of its derivatives, straight to the next sample, or held.
 SMOOTH, STRAIGHT, HELD = 0, 1, 2
 
 
 def input_states(name: str, width: int) -> list[str]:
-    """Names of the derivatives of an input, which neither an input w or theta nor an earlier sample shares."""
+    """Names of the derivatives of an input; they differ from names of inputs w and theta and of earlier samples."""
     return [f"{name}[[{k}]]" for k in range(1, width)]
 
 
 class Candidates(NamedTuple):
-    """Coefficients of some equations: the term ``terms[j]`` in the equation of chain ``chain[j]``."""
+    """Coefficients, by index: number k is that of term ``term[k]`` in the equation of chain ``chain[k]``."""
 
     chain: Ints  # (p,), number of the equation
-    term: Ints  # (p,), of the term; the number after the last one stands for the constant
+    term: Ints  # (p,), number of the term; the number after the last term means the constant
 
     def take(self, index: NDArray[np.intp]) -> Candidates:
-        """Some of the coefficients."""
+        """The coefficients at these positions."""
         return Candidates(self.chain[index], self.term[index])
 
 
@@ -50,11 +50,11 @@ NOTHING = Candidates(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))
 
 
 class Stated(NamedTuple):
-    """What is known of a sum of coefficients before: a normal distribution, as if it had been measured."""
+    """A normal prior on a weighted sum of coefficients, used as a measurement of it."""
 
     parts: tuple[tuple[int, int, float], ...]  # equation and term, as in `Candidates`, and factor of each coefficient
     mean: float  # in original units
-    sd: float  # 0 is a tie: the sum is that number
+    sd: float  # 0 for a tie: the sum equals `mean`
 
 
 class Series(NamedTuple):
@@ -62,16 +62,16 @@ class Series(NamedTuple):
 
     intervals: Floats  # (n - 1,), between samples [s]
     samples: Floats  # (n, M), of `Layout.channels`; NaN where there is none
-    inputs: Floats  # (n, m, 4), what `Layout.given` names, from `bayeq.numerics.rk4.interpolant`
+    inputs: Floats  # (n, m, 4), the variables of `Layout.given`, interpolated by `bayeq.numerics.rk4.interpolant`
     spread: Floats  # (n, M), variance of the noise of each sample as a multiple of its channel's
-    # (n, L, 2), what the course of each input has beside a straight line: a fraction f after a sample, f (1 - f) times
-    # the first and f times the second
+    # (n, L, 2), deviation of each input from a straight line between samples: a fraction f of the interval after a
+    # sample it is f (1 - f) (first + f second)
     bends: Floats
 
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Where the states of a system stand, and what is measured of them."""
+    """Positions of a system's states in the state vector, and the channels that measure them."""
 
     roles: Roles  # chains and inputs
     terms: tuple[Expression, ...]  # the P candidate terms, the same for every equation
@@ -80,19 +80,19 @@ class Layout:
     # stands for a sequence of independent samples joined by straight lines, whose slope is a state all the same.
     smoothness: tuple[int, ...] = ()
     centres: tuple[float, ...] = ()  # mean of each input
-    corners: tuple[float, ...] = ()  # of the spectrum of each input [rad/s]; not used of a random sequence
-    # of each input between its samples: "smooth", as its derivatives say; "linear"; "hold"; or a straight line and what
-    # the "cubic" or "band-limited" interpolation of the samples has beside one
+    corners: tuple[float, ...] = ()  # of the spectrum of each input [rad/s]; not used for a random sequence
+    # interpolation of each input between samples: "smooth", by its derivatives; "linear"; "hold"; or a straight line
+    # plus the deviation from it of the "cubic" or "band-limited" interpolation of the samples
     courses: tuple[Course, ...] = ()
-    drift: float = 0.0  # time between samples as a share of that in `Levels.drifts`; 0 where channels do not drift
-    stated: tuple[Stated, ...] = ()  # what is known of coefficients before
-    # channels that may be late, and what of their lags has been taken out of their samples
+    drift: float = 0.0  # sampling interval as a share of the time in `Levels.drifts`; 0 if channels do not drift
+    stated: tuple[Stated, ...] = ()  # priors on sums of coefficients
+    # number of each channel that may be late, and the lag that has been removed from its samples
     late: tuple[tuple[int, Lag], ...] = ()
-    uncertain: tuple[tuple[int, Gain], ...] = ()  # the same of channels whose factor may be off
+    uncertain: tuple[tuple[int, Gain], ...] = ()  # the same for channels whose factor may be off
 
     @property
     def discrete(self) -> bool:
-        """Whether the equations are maps: what is a rate elsewhere is the next value."""
+        """Whether the equations are maps: these give next values instead of rates."""
         return self.roles.discrete
 
     @cached_property
@@ -117,23 +117,23 @@ class Layout:
 
     @cached_property
     def last(self) -> Ints:
-        """The state below the highest derivative of each chain, (C,); of a static law that of the chain before it."""
+        """Number of the state below each chain's highest derivative, (C,); for a static law the chain before's."""
         return np.cumsum([chain.order for chain in self.roles.chains], dtype=np.int64) - 1
 
     @cached_property
     def discrepancy(self) -> Ints:
-        """The discrepancy of each equation, (C,)."""
+        """Number of the state that is each equation's discrepancy, (C,)."""
         return np.arange(self.motion, self.motion + self.chains, dtype=np.int64)
 
     @cached_property
     def drifts(self) -> Ints:
-        """The drift of each channel, (M,), or (0,)."""
+        """Number of the state that is each channel's drift, (M,), or (0,) if channels do not drift."""
         count = len(self.roles.channels) if self.drift else 0
         return np.arange(count, dtype=np.int64) + self.motion + self.chains
 
     @cached_property
     def lags(self) -> Ints:
-        """The lag of each channel of `late`, what has been taken out of its samples left out."""
+        """Number of the state that is the remaining lag of each channel of `late`."""
         return np.arange(len(self.late), dtype=np.int64) + self.motion + self.chains + len(self.drifts)
 
     @cached_property
@@ -148,22 +148,22 @@ class Layout:
 
     @cached_property
     def driven(self) -> Ints:
-        """The inputs, (L,)."""
+        """Number of the state that is each input, (L,)."""
         return self.before_inputs + np.cumsum(self.widths) - self.widths
 
     @cached_property
     def slope(self) -> Ints:
-        """The highest derivative of each input, (L,)."""
+        """Number of the state that is each input's highest derivative, (L,)."""
         return self.driven + self.widths - 1
 
     @cached_property
     def given(self) -> tuple[str, ...]:
-        """Variables of terms that are no states: t where it is used."""
+        """Variables of terms that are not states: t, if terms may use it."""
         return (TIME,) if self.roles.timed else ()
 
     @cached_property
     def jumps(self) -> tuple[Call, ...]:
-        """Where the terms jump, (J,), see `bayeq.likelihood.signs.jumps_of`; in maps nothing is between samples."""
+        """Signs and floors with which the terms jump, (J,), see `bayeq.expressions.nodes.jumps_of`; none in maps."""
         if self.discrete:
             return ()
         found = {jump for term in self.terms for jump in jumps_of(term.tree)}
@@ -181,17 +181,17 @@ class Layout:
 
     @cached_property
     def rates(self) -> tuple[tuple[float, ...], ...]:
-        """Of each chain, the factors between each derivative's channel and the rate of the one below."""
+        """For each chain, the factors from each derivative's channel to the rate of the state below it."""
         return tuple(tuple(rates(c, g.tolist())) for c, g in zip(self.roles.chains, self.gains, strict=True))
 
     @cached_property
     def factors(self) -> Floats:
-        """Rate of the state below the highest derivative of each chain for a target of 1, (C,); 0 of static laws."""
+        """Rate of the state below the highest derivative of each chain for a target of 1, (C,); 0 for static laws."""
         return np.array([rates[-1] if rates else 0.0 for rates in self.rates])
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Names of the states; those that are no channels have names that no channel can have."""
+        """Names of the states; states that are not channels have names that no channel can have."""
         extra = [f"d[{c}]" for c in range(self.chains)] + [f"b[{i}]" for i in range(len(self.drifts))]
         extra += [f"l[{i}]" for i in range(len(self.late))]
         for name, width in zip(self.roles.inputs, self.widths, strict=True):
@@ -200,7 +200,7 @@ class Layout:
 
     @cached_property
     def channels(self) -> tuple[tuple[str, int], ...]:
-        """What is measured: a channel's name, and the number of a state, or -1 - c for the target of equation c."""
+        """Name and kind of each channel: number of the state it measures, or -1 - c for the target of equation c."""
         out = []
         for c, chain in enumerate(self.roles.chains):
             first = int(self.last[c]) - chain.order + 1
@@ -212,12 +212,12 @@ class Layout:
 
     @property
     def first_input(self) -> int:
-        """The channel of the first input; the others follow."""
+        """Number of the first input's channel; those of the other inputs follow."""
         return len(self.channels) - len(self.roles.inputs)
 
     @cached_property
     def kinds(self) -> Ints:
-        """The second entry of each channel, (M,)."""
+        """The kind of each of `channels`, (M,)."""
         return np.array([kind for _, kind in self.channels], dtype=np.int64)
 
     @cached_property
@@ -229,7 +229,7 @@ class Layout:
 
     @cached_property
     def blurred(self) -> tuple[Expression, ...]:
-        """The terms with the mean of each jump in its place."""
+        """The terms with each jump replaced by its mean (`bayeq.likelihood.signs`)."""
         widths: dict[Node, Node] = {jump: Symbol(name) for jump, name in zip(self.jumps, self.jump_widths, strict=True)}
         return tuple(Expression(mean_of_jumps(term.tree, widths)) for term in self.terms)
 
@@ -239,7 +239,7 @@ class Layout:
         return any(term.names.intersection(self.roles.targets) for term in self.terms)
 
     def solved(self, chosen: Candidates, terms: Sequence[Expression]) -> tuple[list[Node], list[list[Node]]]:
-        """The targets without their discrepancies, and (I - A)^-1 of the mass matrix I - A."""
+        """Expressions of the targets without discrepancies, and of (I - A)^-1, the inverse of the mass matrix."""
         summed: list[list[tuple[Node, Expression]]] = [[] for _ in range(self.chains)]
         for k, (c, j) in enumerate(zip(chosen.chain.tolist(), chosen.term.tolist(), strict=True)):
             term = terms[j] if j < len(terms) else Expression(number(1))
@@ -249,7 +249,7 @@ class Layout:
     def targets_along(
         self, columns: Mapping[str, Floats], chosen: Candidates, theta: Floats, terms: Sequence[Expression]
     ) -> tuple[Floats, Floats]:
-        """The same along a path, (n, C) and (n, C, C), where its terms have these columns."""
+        """`solved` along a path, (n, C) and (n, C, C), evaluated with these columns of its variables."""
         free, inverted = self.solved(chosen, terms)
         values = {f"theta[{j}]": value for j, value in enumerate(theta.tolist())}
         evaluate = Evaluator({**columns, **values})
@@ -257,7 +257,7 @@ class Layout:
         return np.stack([evaluate(Expression(node)) for node in free], axis=1), np.moveaxis(shared, 2, 0).copy()
 
     def tape(self, chosen: Candidates) -> Tape:
-        """Rates of states (of maps next values), targets and terms; if implicit bare targets and (I - A)^-1 too."""
+        """Tape of rates of states (in maps next values), targets, terms; if implicit bare targets, (I - A)^-1 too."""
         parameters = [f"theta[{j}]" for j in range(len(chosen.chain))]
         targets: list[Node] = [Symbol(f"d[{c}]") for c in range(self.chains)]
         terms: list[Node] = [self.blurred[j].tree if j < len(self.terms) else number(1) for j in chosen.term]
@@ -285,7 +285,7 @@ class Layout:
 
     @cached_property
     def rising(self) -> Bools:
-        """Whether the rate of a state is the next one, of those that are no derivatives of chains, (S,)."""
+        """Whether the rate of a state is the next state, (S,): for inputs and all but their highest derivatives."""
         out = np.zeros(self.size, dtype=np.bool_)
         for first, slope in zip(self.driven, self.slope, strict=True):
             out[first:slope] = True
@@ -293,14 +293,14 @@ class Layout:
 
     @cached_property
     def straight(self) -> Ints:
-        """See `bayeq.likelihood.steps.Steps`, (S,)."""
+        """How each state goes between samples, (S,), see `bayeq.likelihood.steps.Steps`."""
         out = np.full(self.size, SMOOTH, dtype=np.int64)
         out[self.driven] = [{"smooth": SMOOTH, "hold": HELD}.get(course, STRAIGHT) for course in self.courses]
         return out
 
     @cached_property
     def terms_tape(self) -> Tape:
-        """The candidate terms and the constant, in states, t, widths of jumps, and targets where terms hold them."""
+        """Tape of the candidate terms and the constant in states, t, widths of jumps, and targets if implicit."""
         trees: Sequence[Node] = [*(term.tree for term in self.blurred), Number(1)]
         further = self.roles.targets if self.implicit else ()
         return Tape.compile(map(Expression, trees), [*self.names, *self.given, *self.jump_widths, *further])

@@ -1,4 +1,4 @@
-"""`Levels`: sizes of everything random in a record, as numbers without constraints that a search can move."""
+"""`Levels`: variances of noise and discrepancies, and memories, as logarithms and logits that a search can move."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from bayeq.likelihood.layout import Layout
 from bayeq.likelihood.linear import Linear
 from bayeq.numerics.settings import LIKELIHOOD
 
-# Bounds: of noise and discrepancy as shares of the variance of channel and target, and of what the course of an input
-# errs by, as a share of what it bends.
+# Bounds of variances: of noise as a share of the channel's, of a discrepancy as a share of the target's, and of the
+# interpolation error of an input as a share of its squared bends.
 LEAST_NOISE, MOST_NOISE = 1e-10, 1e2
 MOST_DISCREPANCY, MOST_POSSIBLE = 1e2, 1e1
 LEAST_COURSE = 1e-6
@@ -25,50 +25,49 @@ LEAST_COURSE = 1e-6
 # Standard deviation of the offset that a drift begins with, as a share of the channel's.
 DRIFT_OFFSET = 0.5
 
-# What a search moves, in this order.
+# Fields that a search moves, in the order of `Levels.free`.
 PARTS = ("channels", "discrepancy", "memory", "slope", "courses", "drifts")
 
-# The likelihood is about as sharp in the size of an input's steps as this share of its samples makes it. On a small
-# discrepancy it may carry anywhere from no information to that of all samples: their geometric mean is taken.
+# Information on the log variance of an input's steps, as a share of its samples. On that of a small discrepancy it may
+# be anywhere between about 1 and the number of samples: the geometric mean is taken.
 STEP_SHARPNESS = 0.25
 
 
 @dataclass(frozen=True, eq=False)
 class Scales:
-    """Units in which levels are stated."""
+    """Means and variances that levels and their bounds are relative to."""
 
-    mean: Floats  # (S,), of the states; of discrepancies 0
-    variance: Floats  # (S,), of the states; of discrepancies that of their target
+    mean: Floats  # (S,), of the states; 0 for discrepancies
+    variance: Floats  # (S,), of the states; for a discrepancy the variance of its target
     channels: Floats  # (M,), variance of each channel
-    # between samples, mostly [s]; 0 where memories of discrepancies are to be as long as the record has them
+    # median interval between samples [s]; 0 leaves memories without the bound `Levels.longest`
     interval: float = 0.0
-    # (M,) or 0, variance of each channel's rounding. Its noise is no less: a body at rest gives one value again and
-    # again.
+    # (M,) or 0, variance of each channel's rounding error, the least that its noise may have: a body at rest repeats
+    # one value.
     rounding: Floats | float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class Levels:
-    """Sizes of noise and discrepancies."""
+    """Variances of noise and discrepancies, and memories of discrepancies."""
 
-    layout: Layout  # what they are sizes of
+    layout: Layout  # channels, equations and inputs that they belong to
     scales: Scales
     channels: Floats  # (M,), variances of the channels' noise
     discrepancy: Floats  # (C,), variance of each equation's discrepancy
-    memory: Floats  # (C,), what is left of a discrepancy after a sample
-    slope: Floats  # (L,), variance of what is added to the highest derivative of each noisy input at a sample
-    # (L,), variance of what the course of each noisy input between samples errs by, as a share of the square of its
-    # bends
+    memory: Floats  # (C,), AR(1) coefficient of each discrepancy from sample to sample
+    slope: Floats  # (L,), variance of the random steps of the highest derivative of each noisy input at samples
+    # (L,), variance of the interpolation error of each noisy input between samples, as a share of its squared bends
     courses: Floats
     drifts: Floats  # (M,) or (0,), variance that the drift of each channel gains in 1/(2 pi f), f the band's lower end
-    # (F, F), how the likelihood curves downwards in `free`, as the search that led here has found it, in the units of
+    # (F, F), Hessian of minus the log likelihood in `free`, as estimated by the search that led here, in the units of
     # that search
     hessian: Floats | None = None
     held: Bools | None = None  # (M,), channels whose noise is known: it stays as it is
 
     @cached_property
     def noise(self) -> Noise:
-        """The variances as the filter takes them."""
+        """The variances and memories of all states and channels, for the filter."""
         layout = self.layout
         memory, steps = np.ones(layout.size), np.zeros(layout.size)
         start = LIKELIHOOD.first_state_sd**2 * self.scales.variance
@@ -89,7 +88,7 @@ class Levels:
         return replace(self, channels=channels)
 
     def with_discrepancy(self, c: int, variance: float) -> Levels:
-        """The levels with another variance of the discrepancy of equation c, or the least there is."""
+        """The levels with another variance of the discrepancy of equation c, at least the first of `sizes`."""
         sizes = self.discrepancy.copy()
         sizes[c] = max(variance, self.sizes[0][c])
         return replace(self, discrepancy=sizes)
@@ -106,13 +105,13 @@ class Levels:
 
     @property
     def stated(self) -> Bools:
-        """Equations that are stated laws, (C,): they have no discrepancy."""
+        """Equations of hidden states, (C,): these have only the least discrepancy, whatever `discrepancy` is."""
         return np.array([chain.hidden for chain in self.layout.roles.chains], dtype=np.bool_)
 
     @property
     def longest(self) -> Floats:
-        """Longest memory of each discrepancy, (C,), by the own time of its chain, a coordinate's spread over that of
-        its rate; of a static law the shortest of the inputs and of other chains."""
+        """Upper bound of each memory, (C,), from the time scale of its chain: sd of a coordinate over sd of its rate;
+        if any equation is a static law, for all equations from the shortest time scale of chains and inputs."""
         layout, times = self.layout, []
         for c, chain in enumerate(layout.roles.chains):
             if chain.static:
@@ -138,23 +137,23 @@ class Levels:
 
     @property
     def sizes(self) -> tuple[Floats, Floats]:
-        """Least and most variance of a discrepancy that is taken to be possible, (C,)."""
+        """Least and largest variance of each discrepancy over which its prior extends, (C,) each."""
         return LIKELIHOOD.least_discrepancy * self.target, MOST_POSSIBLE * self.target
 
     @property
     def learned(self) -> Bools:
-        """Channels whose noise is not known, (M,)."""
+        """Channels whose noise is estimated, not known, (M,)."""
         return np.ones(len(self.channels), dtype=np.bool_) if self.held is None else ~self.held
 
     @property
     def known(self) -> Bools:
-        """Which of `free` are known and stay, (F,)."""
+        """Entries of `free` that are known and held, (F,)."""
         parts: dict[str, Bools] = {"channels": ~self.learned, "discrepancy": self.stated, "memory": self.stated}
         return np.concatenate([parts.get(name, np.zeros(len(getattr(self, name)), dtype=np.bool_)) for name in PARTS])
 
     @property
     def optional(self) -> Bools:
-        """Which of `free` may vanish, where the likelihood is flat in them: discrepancies, courses, drifts; (F,)."""
+        """Entries of `free` in which the likelihood may be flat, (F,): discrepancies, memories, courses and drifts."""
         return np.concatenate([np.full(len(getattr(self, name)), name not in ("channels", "slope")) for name in PARTS])
 
     @property
@@ -163,7 +162,7 @@ class Levels:
         return np.concatenate([(_logit if name == "memory" else np.log)(getattr(self, name)) for name in PARTS])
 
     def moved(self, free: Floats) -> Levels:
-        """The levels of other numbers."""
+        """The levels with other values of `free`."""
         ends = np.cumsum([len(getattr(self, name)) for name in PARTS[:-1]])
         parts = dict(zip(PARTS, np.split(free, ends), strict=True))
         found: dict[str, Any] = {
@@ -175,7 +174,7 @@ class Levels:
 
     @property
     def bounds(self) -> tuple[Floats, Floats]:
-        """Least and most of `free`."""
+        """Lower and upper bounds of `free`, (F,) each."""
         target = self.target
         slope, drifting = self.scales.variance[self.layout.slope], self.scales.channels[: len(self.drifts)]
         low = [
@@ -197,7 +196,7 @@ class Levels:
         return np.concatenate(low), np.concatenate(high)
 
     def curvature(self, linears: Sequence[Linear]) -> Floats:
-        """About how sharply the likelihood peaks in each of `free`: half of the samples for the noise of a channel."""
+        """Approximate information on each entry of `free`, (F,): half of the samples for the noise of a channel."""
         samples = np.asarray(sum(np.isfinite(linear.residual).sum(axis=0) for linear in linears), dtype=np.float64)
         inputs = samples[len(samples) - len(self.slope) :]
         few = np.full(2 * len(self.discrepancy), np.sqrt(samples.mean()))
@@ -205,7 +204,7 @@ class Levels:
         return np.concatenate([0.5 * samples, few, STEP_SHARPNESS * inputs, np.sqrt(inputs), drifts])
 
     def slopes(self, found: Adjoint) -> Floats:
-        """Derivatives of the likelihood by `free`."""
+        """Derivatives of the log likelihood by `free`, (F,)."""
         d, b, s = self.layout.discrepancy, self.layout.drifts, self.layout.slope
         size, memory = self.discrepancy, self.memory
         by_size = found.steps[d] * (1.0 - memory**2) + found.start[d]

@@ -1,4 +1,4 @@
-"""The model linearised about a path: transitions of the states, columns of the candidates, what is left of the data."""
+"""The model linearised about a path: transitions of the states, columns of the candidates, residuals of the data."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from bayeq.likelihood.steps import Steps, add_derivatives, arrays, integrate
 from bayeq.numerics.settings import LIKELIHOOD
 from bayeq.numerics.spline import spline_slopes
 
-# What a state adds to another one's next value is nothing below this share of the other's standard deviation.
+# A state's effect on the next value of another is neglected below this share of the other's standard deviation.
 ROUNDED = 1e-16
 
 
@@ -25,31 +25,31 @@ class Linear(NamedTuple):
     """A record's model, linear in the deviations from a path and from some coefficients."""
 
     path: Floats  # (n, S), states that it is linearised about
-    end: Floats  # (n - 1, S), where a step from each of them ends, before the discrepancies and slopes change
+    end: Floats  # (n - 1, S), states after a step from each of them, before memories and random steps act
     transition: Floats  # (n - 1, S, S), derivatives of `end` by the states
-    # (n, C, S), derivatives of each target by the states; where channels drift, of what is measured of it, and behind
-    # these of each state
+    # (n, C or more, S), derivatives of each target by the states; followed by those of measured states with a drift or
+    # a lag, which are included
     gradient: Floats
-    residual: Floats  # (n, M), samples less what the path gives; NaN where there is none
-    kinds: Ints  # (M,), see `Layout.channels`; -1 - i for a channel of which ``gradient[:, i]`` tells
-    follows: Ints  # (S, S), of each state, how many others its next value may depend on, and which
-    leads: Ints  # (S, S), how many depend on it, and which
+    residual: Floats  # (n, M), samples less the values on the path; NaN where there is none
+    kinds: Ints  # (M,), see `Layout.channels`; -1 - i for a channel whose derivatives are ``gradient[:, i]``
+    follows: Ints  # (S, S), for each state, the number of others that its next value depends on, then these
+    leads: Ints  # (S, S), the number of others whose next value depends on it, then these
     spread: Floats  # (n, M), as in `Series`
     unresolved: Floats  # (n, M), as in `Blur`
     force: Floats  # (n - 1, C), as in `Blur`
-    # (n - 1, C, L), squares of what the target of each equation changes by as an input bends between samples
+    # (n - 1, C, L), squared change of each equation's target by the bend of each input between samples
     bends: Floats
     discrepancy: Ints  # (C,), see `Layout.discrepancy`
     terms: Floats  # (n, P + 1), the candidates and the constant at the path
     # (n, C, C), derivatives of the targets by the right-hand sides, (I - A)^-1, where terms hold targets; otherwise
     # empty
     coupling: Floats
-    # (n, C), share of a term that shows in a sample of its target: 1, and 0 where a jump makes up for it
+    # (n, C), derivative of a sample of each target by a term: 1, less where the force that holds a jump compensates
     open_to: Floats
     chosen: Candidates  # the coefficients of the model
-    sources: Floats  # (n - 1, motion, r), derivatives of `end` by them, of the states of the chains
-    steps: Steps  # what `sources_of` other coefficients takes
-    # intervals in which the arguments of jumps are held, (k,), and what that leaves of changes of the states,
+    sources: Floats  # (n - 1, motion, r), derivatives by them of the chains' states in `end`
+    steps: Steps  # the integration, for `sources_of` other coefficients
+    # intervals in which the arguments of jumps are held, (k,), and the projections of changes of the states there,
     # (k, motion, motion)
     holds: tuple[tuple[NDArray[np.intp], Floats], ...]
 
@@ -71,7 +71,7 @@ def linearise(
 ) -> Linear:
     """The model of a record about a path, (n, S), and the coefficients `theta`, (r,), of the chosen candidates.
 
-    `blur` are the widths of jumps, by default those between samples; `substeps` Runge-Kutta steps between two samples.
+    `blur` has the widths of jumps, by default of `first_blur`; `substeps` Runge-Kutta steps lie between two samples.
     """
     n, size, chains = len(path), layout.size, layout.chains
     blur = first_blur(layout, series, path, substeps) if blur is None else blur
@@ -149,7 +149,7 @@ def linearise(
 def _hold_steps(
     layout: Layout, holds: Sequence[Hold], end: Floats, transition: Floats, sources: Floats
 ) -> tuple[tuple[NDArray[np.intp], Floats], ...]:
-    """Steps in which jumps hold the motion: their rows, and what is left of it there."""
+    """Projects `end`, `transition` and `sources` in held intervals; returns their rows and projections."""
     motion, out = layout.motion, []
     for hold in holds:
         rows = hold.rows
@@ -162,7 +162,7 @@ def _hold_steps(
 
 
 def _own_rows(kinds: Ints, gradient: Floats, channels: Sequence[int]) -> tuple[Ints, Floats]:
-    """Kinds and gradients, with rows of their own behind the others for those of some channels that are of states."""
+    """Kinds and gradients, with a gradient row appended for each of these channels that measures a state."""
     kinds, rows = kinds.copy(), [gradient]
     for i in channels:
         if kinds[i] >= 0:
@@ -176,7 +176,7 @@ def _own_rows(kinds: Ints, gradient: Floats, channels: Sequence[int]) -> tuple[I
 def _with_lags(
     layout: Layout, intervals: Floats, path: Floats, seen: Floats, kinds: Ints, gradient: Floats
 ) -> tuple[Ints, Floats]:
-    """Kinds and gradients of channels that may be late: these see x(t - lag), about x less the lag times its rate."""
+    """Kinds and gradients with channels that may be late: x(t - lag) is about x less the lag times the rate of x."""
     time = np.append(0.0, np.cumsum(intervals))
     kinds, gradient = _own_rows(kinds, gradient, [i for i, _ in layout.late])
     for (i, _), lag in zip(layout.late, layout.lags, strict=True):
@@ -194,7 +194,7 @@ def _bends(path: Floats) -> Floats:
 
 
 def _hold_targets(layout: Layout, hold: Hold, path: Floats, target: Floats, gradient: Floats, open_to: Floats) -> None:
-    """The targets while a jump holds its argument, with as much of the jump as keeps the argument from changing."""
+    """Corrects targets and gradients in held intervals by the part of the jump that keeps its argument constant."""
     rows = hold.rows
     by_force = hold.gradient[:, layout.last] * layout.factors
     change, slopes = np.einsum("kc,kc->k", by_force, target[rows]), np.einsum("kc,kcs->ks", by_force, gradient[rows])
@@ -224,7 +224,7 @@ def sources_of(linear: Linear, chosen: Candidates, first: int, stop: int) -> Flo
 
 
 def _others(related: Bools) -> Ints:
-    """In each row the number of entries off the diagonal, then their columns."""
+    """In each row the number of true entries off the diagonal, then their columns."""
     out = np.zeros(related.shape, dtype=np.int64)
     for i, row in enumerate(related):
         others = np.flatnonzero(row)
@@ -237,7 +237,7 @@ def _to_mean(layout: Layout, intervals: Floats, end: Floats, transition: Floats)
     """Puts the mean of the highest derivative of each input after the next sample into `end` and `transition`."""
     for k, (first, slope, centre) in enumerate(zip(layout.driven, layout.slope, layout.centres, strict=True)):
         states = slice(first, slope + 1)
-        factors = np.column_stack([-1.0 / intervals, np.zeros(len(intervals))])  # a random sequence goes straight back
+        factors = np.column_stack([-1.0 / intervals, np.zeros(len(intervals))])  # a random sequence: back to its mean
         if layout.smoothness[k]:
             factors = feedback(int(layout.widths[k]), layout.corners[k], intervals)
         deviation = end[:, states].copy()
@@ -249,8 +249,8 @@ def _to_mean(layout: Layout, intervals: Floats, end: Floats, transition: Floats)
 def terms_along(
     layout: Layout, path: Floats, inputs: Floats, chosen: Candidates, theta: Floats
 ) -> tuple[Floats, Floats]:
-    """Candidates and the constant at the states of a path, (n, P + 1), what is given (n, m, 4) with widths of jumps; (I
-    - A)^-1, (n, C, C), of implicit equations."""
+    """Candidates and the constant along a path, (n, P + 1), and (I - A)^-1 of implicit equations, (n, C, C); `inputs`,
+    (n, m + J, 4), are the given variables and the widths of jumps."""
     columns = dict(zip(layout.names, np.asfortranarray(path).T, strict=True))
     columns |= dict(zip((*layout.given, *layout.jump_widths), inputs[:, :, 0].T, strict=True))
     coupling = np.zeros((0, layout.chains, layout.chains))
@@ -263,11 +263,11 @@ def terms_along(
 
 
 def derivatives_along(linear: Linear, at_samples: Floats, between: Floats) -> Floats:
-    """Derivatives of all candidates along directions (n, C, S) at samples, and (n - 1, C, S) between: (C, P + 1)."""
+    """Sums of all candidates' derivatives along directions (n, C, S) at samples, (n - 1, C, S) between: (C, P + 1)."""
     out = np.zeros((at_samples.shape[1], linear.terms.shape[1]))
     steps = linear.steps.fresh()
     if len(linear.coupling):
-        # a term moves every target; that it moves the mass matrix too is left out
+        # a term acts on every target; its effect on the mass matrix is neglected
         at_samples = np.einsum("nec,nes->ncs", linear.coupling, at_samples)
         between = np.einsum("nec,nes->ncs", linear.coupling[:-1], between)
     add_derivatives(steps, linear.path, linear.end, at_samples, False, out)

@@ -24,20 +24,20 @@ SEGMENT = 2000
 CORNERS = (1e-3, 0.9)
 LEVELS, NOISES = (1e-8, 1e8), (1e-8, 1.0)
 
-# Share of the power below the first corner that is tried, and of the bins that noise is at first read from.
+# First corner: the one with this share of the power below it; first noise: the mean of this share of the highest bins.
 POWER, HIGHEST = 0.9, 0.1
 
 
 def feedback(order: int, corner: float, intervals: Floats) -> Floats:
-    """Factors (n, `order`) of the states at the ends of steps that give the mean of the highest derivative after each;
-    the corner is in rad/s, intervals, (n,), are in seconds."""
+    """Feedback gains (n, `order`): their product with the states at the end of a step is the mean of the highest
+    derivative after it. The corner is in rad/s, intervals, (n,), are in seconds."""
     different, which = np.unique(intervals, return_inverse=True)
     rows = np.linalg.solve(_free(order).T, _rows(order, corner * different).T).T
     return np.asarray(rows * different[:, None] ** np.arange(1.0 - order, 1.0))[which]
 
 
 def _free(order: int) -> Floats:
-    """Transition matrix (p, p) of the states over a step of length 1, at the end of which nothing is fed back."""
+    """Transition matrix (p, p) of the states over a step of length 1, without the feedback at its end."""
     return np.array([[1.0 / math.factorial(j - i) if j >= i else 0.0 for j in range(order)] for i in range(order)])
 
 
@@ -46,7 +46,7 @@ def _rows(order: int, corners: Floats) -> Floats:
     angles = np.exp(1j * math.pi * (2.0 * np.arange(order) + order + 1.0) / (2.0 * order))
     coefficients = np.zeros((len(corners), order + 1), dtype=np.complex128)
     coefficients[:, 0] = 1.0
-    for pole in np.exp(corners * angles[:, None]):  # of the polynomial with these poles
+    for pole in np.exp(corners * angles[:, None]):  # coefficients of the polynomial with these roots
         coefficients[:, 1:] -= pole[:, None] * coefficients[:, :-1]
     held = _free(order)
     held[-1] = 0.0
@@ -56,8 +56,8 @@ def _rows(order: int, corners: Floats) -> Floats:
 
 
 def step_variance(order: int, corner: float, interval: float, level: float) -> float:
-    """Variance of the random steps of the highest derivative, given the spectrum's level at zero: that of the
-    periodogram, whose mean over all frequencies is the variance."""
+    """Variance of the random steps of the highest derivative, given the level of the spectrum at zero frequency, scaled
+    so that the mean of the spectrum over all frequencies is the variance."""
     transition = _free(order)
     transition[-1] = _rows(order, np.array([corner * interval]))[0]
     gain = float(np.linalg.solve(np.eye(order) - transition, np.eye(order)[-1])[0])
@@ -65,15 +65,15 @@ def step_variance(order: int, corner: float, interval: float, level: float) -> f
 
 
 class Spectrum(NamedTuple):
-    """Means of periodograms, Hann's window taken of every segment (Welch 1967)."""
+    """Averaged periodograms of segments with Hann's window (Welch 1967)."""
 
     omega: Floats  # (B,), frequencies [rad/sample]
     power: Floats  # (B,), mean over the segments; the mean over all frequencies is the variance
-    segments: Floats  # (B,), their number
+    segments: Floats  # (B,), number of segments
 
 
 def mean_spectrum(pieces: Sequence[Floats]) -> Spectrum:
-    """The spectrum of some samples, their mean taken off: of segments of each piece, or of one that is shorter."""
+    """The spectrum of samples of mean zero: averaged over segments of each piece; a shorter piece is one segment."""
     sums: dict[int, tuple[Floats, int]] = {}
     for values in pieces:
         length = min(SEGMENT, len(values))
@@ -104,8 +104,8 @@ def periodograms(values: Floats, length: int) -> tuple[Floats, int]:
 
 
 def spectrum_of(found: Spectrum, order: int, interval: float, variance: float) -> tuple[float, float, float]:
-    """Corner [rad/s], level at zero, and noise of samples, `interval` [s] apart, of a process of some order, at the
-    maximum of Whittle's likelihood (Whittle 1953)."""
+    """Corner [rad/s], level at zero frequency, and noise of a process of this order and variance, with samples
+    `interval` [s] apart, at the maximum of Whittle's likelihood (Whittle 1953)."""
     w, P, count = found
     if not float(count @ P) > 0.0:
         return math.pi / interval, variance, NOISES[0] * variance

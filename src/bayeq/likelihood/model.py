@@ -1,4 +1,4 @@
-"""`Task`: records to be explained by candidates; `Fitted`: a model, the coefficients that are not zero, fitted."""
+"""`Task`: records to be explained by candidates; `Fitted`: the fit of a model, a set of nonzero coefficients."""
 
 from __future__ import annotations
 
@@ -34,39 +34,39 @@ from bayeq.likelihood.linear import Linear
 from bayeq.likelihood.steps import Flows
 from bayeq.numerics.settings import LIKELIHOOD
 
-# Gauss-Newton steps about a model that is on the way.
+# Gauss-Newton steps of a coarse fit, of a model that the search has not finished with.
 STEPS = 2
 
-# Steps and tolerance of the search for the levels about models that are on the way.
+# Settings of the search for the levels in coarse fits.
 COARSE: dict[str, Any] = {"steps": 15, "tolerance": 1e-2, "steepest": 0.1}
 
-# A fit has converged when its evidence changes by less [nats]; steps at most.
+# A fit has converged when its log likelihood changes by less in a step [nats]; most steps of a fit.
 SETTLED = 0.05
 MOST_STEPS = 12
 
-# Where a step of a fit goes back on the one before, the fit goes on from between where both lead, at most this near to
-# where the former led.
+# If a step of a fit reverses the one before, the fit continues from a point between the ends of both; largest weight of
+# the former end.
 MOST_BACK = 0.75
 
 # Gauss-Newton steps to where the likelihood is not finite are halved, at most this often in a fit.
 MOST_HALVED = 4
 
-# A discrepancy that explained much is tried at this share of the target, and held there for some steps, while path and
-# coefficients find each other.
+# A discrepancy that explained much restarts from this share of the target and is held there for some steps, while path
+# and coefficients converge.
 HARDLY_ANY, CALM_STEPS = 1e-3, 3
 
 # Noise of known variance: as if estimated from this many times the record's samples.
 KNOWN = 1e4
 
-# The likelihood is flat near zero discrepancy, so that a search stays there: of many samples a fit is compared with one
-# that starts from a discrepancy of this share of its target, and this memory. If that is as likely it is taken: from
-# there more rows lead to less of it as well as to more. One that begins worse by FLAT nats is dropped.
+# The likelihood is flat near zero discrepancy, so that a search stays there. With many samples a fit is compared with
+# one that starts from a discrepancy of this share of its target and this memory, which is taken if it is as likely:
+# from there further rows can lower the discrepancy as well as raise it. One that starts worse by FLAT nats is dropped.
 NOTICED, ITS_MEMORY = 0.01, 0.7
 FLAT = 0.5
 
-# Steps between samples are halved, up to this number, until this share of them errs by less than STEP_ERROR of the
-# standard deviation of each state, a tenth of the least noise: what is more looks like a term where there is no noise.
-# The others may hold a jump.
+# Integration steps are halved, up to MOST_SUBSTEPS an interval, until the share SMOOTH_STEPS of the intervals errs by
+# at most STEP_ERROR of the standard deviation of each state, a tenth of the least noise: a larger error looks like a
+# term if there is no noise. The other intervals may contain a jump.
 MOST_SUBSTEPS, SMOOTH_STEPS, STEP_ERROR = 8, 0.98, 1e-6
 
 
@@ -76,16 +76,16 @@ class Task:
 
     layout: Layout  # states and candidates
     series: tuple[Series, ...]  # the records
-    precision: Floats  # (C (P + 1),), 1/variance of each coefficient's prior, were it not zero
-    log_odds: Floats  # (C (P + 1),), of each coefficient not being zero
+    precision: Floats  # (C (P + 1),), 1/variance of the prior of each coefficient if it is in the model
+    log_odds: Floats  # (C (P + 1),), prior log odds of each coefficient being in the model
     substeps: int = 1  # Runge-Kutta steps between two samples
-    counted: float | None = None  # number of samples that the likelihood is of, where the series are some of them only
+    counted: float | None = None  # number of samples in the likelihood, if the series hold only some of them
     tolerance: float | None = None  # see `bayeq.discover`
-    ranges: Floats | None = None  # (C (P + 1),), what the log odds have lost to the ranges of constants inside terms
-    flows: Flows | None = None  # what models are selected from, where a sum of states is conserved
-    # covariance of coefficients between likely courses of inputs, (C (P + 1),) squared; 0 of none
+    ranges: Floats | None = None  # (C (P + 1),), change of the log odds by the ranges of constants inside terms
+    flows: Flows | None = None  # flows, from which models are selected if a sum of states is conserved
+    # second moments of coefficients over likely courses of inputs, (C (P + 1),) squared; 0 if none were tried
     between: Floats | float = 0.0
-    # the last two linearisations and what they are of: fits go on from where others have stood
+    # cache of the last two linearisations, with the arguments that they were computed from
     recent: list[tuple[tuple[object, ...], list[Linear]]] = field(default_factory=list, init=False, repr=False)
 
     @cached_property
@@ -94,7 +94,7 @@ class Task:
         return np.asarray(self.log_odds.reshape(self.layout.chains, -1)[:, :-1] > -np.inf)
 
     def linearised(self, state: State) -> list[Linear]:
-        """Every record linearised where a fit stands."""
+        """Every record linearised about a state, from the cache if it is there."""
         about = (self.layout, self.series, self.substeps, state.chosen, state.theta, state.paths, state.blurs)
         for other, linears in self.recent:
             if all(one is another for one, another in zip(other, about, strict=True)):
@@ -108,11 +108,11 @@ class Task:
         return self.precision[self.number(state.chosen)]
 
     def marginal(self, state: State, keep: bool = True) -> Statistics:
-        """The likelihood where a fit stands, its coefficients integrated out; `keep` as in `run_filter`."""
+        """The marginal likelihood at a state, with its coefficients integrated out; `keep` as in `run_filter`."""
         return marginal(self.linearised(state), state, state.levels, self.precision_of(state), keep)
 
     def value(self, state: State) -> float:
-        """ln p(data | levels) where a fit stands; -inf where that is far from any motion."""
+        """ln p(data | levels) at a state; -inf where the likelihood cannot be evaluated."""
         try:
             return self.marginal(state, keep=False).value
         except np.linalg.LinAlgError:
@@ -145,26 +145,26 @@ class Task:
 
     @cached_property
     def known(self) -> Prior:
-        """The prior of coefficients in units of their own prior's standard deviation, noise of variance 1."""
+        """The prior of the coefficients, in units of their prior standard deviations and with noise of variance 1."""
         return Prior(slab_variance=1.0, prior_inclusion=1.0 / (1.0 + np.exp(-self.log_odds)))
 
     @cached_property
     def selected(self) -> Prior:
-        """The same of what models are selected from."""
+        """The prior, as `known`, of the quantities that models are selected from: flows if there are any."""
         if self.flows is None:
             return self.known
         return Prior(slab_variance=1.0, prior_inclusion=1.0 / (1.0 + np.exp(-self.flows.log_odds(self.log_odds))))
 
     def wide(self, model: Bools) -> Bools:
-        """The coefficients of a model that was selected."""
+        """A selected model as one of coefficients: flows are replaced by the coefficients that they change."""
         return model if self.flows is None else self.flows.wide(model)
 
     def narrow(self, model: Bools) -> Bools:
-        """The opposite of `wide`."""
+        """A model of coefficients as one of flows: the inverse of `wide`."""
         return model if self.flows is None else self.flows.narrow(model)
 
     def gram(self, q: Quadratic) -> Gram:
-        """The likelihood of all that models are selected from, in those units: a regression of known noise, about."""
+        """The likelihood of the quantities of `selected`, in its units, as a regression with nearly known noise."""
         precision, information, slope = self.precision, q.information, q.slope
         if self.flows is not None:
             precision, F = self.flows.precision(precision), self.flows.matrix
@@ -198,17 +198,17 @@ def finer(task: Task, state: State) -> Task:
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A model fitted."""
+    """The fit of a model."""
 
     model: Bools  # (C (P + 1),), coefficients that are not zero
     state: State  # their values, the paths and the levels
     evidence: float  # ln p(data, model), up to a constant
     value: float  # ln p(data | levels)
-    expand: Callable[[], Quadratic]  # gives `quadratic`
-    # (C,), what averaging over the size of each discrepancy makes of it; None where its likeliest size is taken
+    expand: Callable[[], Quadratic]  # computes `quadratic`, before it is raised to `power`
+    # (C,), change of the evidence by averaging over the size of each discrepancy; None if at the likeliest sizes
     averages: Floats | None = None
     tried: dict[bytes, float] = field(default_factory=dict)  # evidence of the models that were fitted to be compared
-    power: float = 1.0  # that `quadratic` is raised to (`bayeq.likelihood.adequacy`)
+    power: float = 1.0  # power of the likelihood in `quadratic` (`bayeq.likelihood.adequacy`)
 
     @cached_property
     def quadratic(self) -> Quadratic:
@@ -217,15 +217,15 @@ class Fitted:
 
 
 def of_motion(task: Task, fitted: Fitted) -> float:
-    """ln p(data, model) less what the samples of inputs have in it: of the motion, given the inputs."""
+    """ln p(data, model) less the log likelihood of the samples of inputs: that of the motion, given the inputs."""
     return fitted.evidence - of_inputs(task.linearised(fitted.state), fitted.state.levels)
 
 
 def fit(task: Task, state: State, coarse: bool = False, calm: int = 0) -> Fitted:
-    """Fit a model by Gauss-Newton steps from a state; before each the levels are learned.
+    """Fit a model by Gauss-Newton steps from a state; levels are estimated before each step.
 
-    About much noise steps go to and fro: they are mixed, two at a time (Anderson, D. G. (1965), Journal of the ACM 12,
-    547-560). A `coarse` fit has few steps. In the first `calm` ones discrepancies keep their size.
+    With much noise steps oscillate: each is mixed with the one before (Anderson, D. G. (1965), Journal of the ACM 12,
+    547-560). A `coarse` fit has few steps. In the first `calm` steps discrepancies and other optional levels are held.
     """
     layout, precision = task.layout, task.precision_of(state)
     before, last, halved, former = -np.inf, None, 0, None
@@ -249,23 +249,23 @@ def fit(task: Task, state: State, coarse: bool = False, calm: int = 0) -> Fitted
             turned = unit @ (step - former[1])
             share = float(turned @ unit @ step) / max(float(turned @ turned), np.finfo(np.float64).tiny)
             state = state.towards(former[0], min(max(share, 0.0), MOST_BACK))
-        if not np.isfinite(state.theta).all():  # what it predicts would count as samples that are missing
+        if not np.isfinite(state.theta).all():  # predictions of NaN would make samples count as missing
             raise np.linalg.LinAlgError("a step leads nowhere")
         former = arrived, step
         if abs(found.value - before) < SETTLED and 0.5 * length**2 < FLAT and taken >= calm:
             break
         before = found.value
     found = task.marginal(state, keep=False)
-    # where steps go to and fro, what the next one promises is not kept; coarse fits have few steps, and are on the way
+    # if steps oscillate, the gain that the next one predicts is not realised; coarse fits have not converged anyway
     evidence = found.value if coarse else found.value - min(found.value - found.here, 0.5 * length**2)
     model = task.model(state.chosen)
     return Fitted(model, state, evidence + task.prior(model), found.value, partial(expanded, task, state, curved))
 
 
 def over_all_sizes(task: Task, fitted: Fitted, beside: Fitted | None = None) -> Fitted:
-    """The fit, or a likelier one from other sizes of its discrepancies, its evidence averaged over these sizes.
+    """The fit, refitted if other sizes of discrepancies are likelier, with its evidence averaged over these sizes.
 
-    Equations with the same terms in a fit `beside` take its averages.
+    Equations with the same terms in the fit `beside` take the averages from there.
     """
     averages = np.full(task.layout.chains, np.nan)
     if beside is not None and beside.averages is not None:
@@ -280,10 +280,10 @@ def over_all_sizes(task: Task, fitted: Fitted, beside: Fitted | None = None) -> 
 
 
 def _over_sizes(task: Task, fitted: Fitted, former: Floats) -> tuple[Floats, State | None]:
-    """ln of the likelihood averaged over sizes of each discrepancy, less that of the likeliest; a likelier state.
+    """ln of the likelihood averaged over sizes of each discrepancy, relative to the fit's; a likelier state or None.
 
     The prior is flat in the logarithm of each size: a model that needs no discrepancy is as likely at any small one.
-    Those known from a `former` fit, (C,), are not averaged again.
+    Averages in `former`, (C,), that are not NaN are kept.
     """
     state, levels = fitted.state, fitted.state.levels
     bounds = np.log(levels.sizes)
@@ -312,7 +312,7 @@ def expanded(task: Task, state: State, curved: Floats) -> Quadratic:
 
 
 def with_model(task: Task, fitted: Fitted, model: Bools) -> State:
-    """A start for another model: its coefficients as the Gram gives them, the path and levels of the fit."""
+    """A start for another model: posterior means of its coefficients by the Gram, path and levels of the fit."""
     coef, _ = exact_posterior(task.problem(fitted.quadratic), task.narrow(model), None)
     if task.flows is None:
         theta = coef[model] / np.sqrt(task.precision[model])
@@ -322,14 +322,14 @@ def with_model(task: Task, fitted: Fitted, model: Bools) -> State:
 
 
 def calmed(state: State) -> State:
-    """The state with smaller discrepancies: with hardly any where they explain much of the motion."""
+    """The state with smaller discrepancies: HARDLY_ANY if they explain much of the motion, else less by a factor."""
     levels = state.levels
     kappa = np.where(levels.kappa > LIKELIHOOD.explains_much, HARDLY_ANY, levels.kappa / LIKELIHOOD.calmed)
     return replace(state, levels=replace(levels, discrepancy=kappa**2 * levels.target))
 
 
 def from_all_levels(task: Task, state: State, beside: Fitted | None = None) -> Fitted:
-    """The likelier fit of a model, of those from the levels as they are and from less discrepancy, over all sizes."""
+    """The likelier of the fits from the state's levels and from smaller discrepancies, averaged over all sizes."""
     first = fit(task, state)
     if (state.levels.kappa >= NOTICED).any():
         much = bool((state.levels.kappa > LIKELIHOOD.explains_much).any())
@@ -342,12 +342,12 @@ def from_all_levels(task: Task, state: State, beside: Fitted | None = None) -> F
 
 
 def finished(task: Task, fitted: Fitted) -> Fitted:
-    """A fit of the model, its evidence averaged over sizes; coarse ones are of a model on the way."""
+    """The fit if its evidence is averaged over sizes of discrepancies, else that by `from_all_levels` from there."""
     return from_all_levels(task, fitted.state) if fitted.averages is None else fitted
 
 
 def with_small_discrepancy(task: Task, best: Fitted) -> Fitted:
-    """The fit, or one of the same model with some discrepancy, of a size that a search moves, and as likely."""
+    """The fit, or an equally likely one of the same model with discrepancies large enough for a search to move."""
     levels = best.state.levels
     hardly = levels.kappa < NOTICED
     if not hardly.any():

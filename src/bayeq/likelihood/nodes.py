@@ -1,4 +1,4 @@
-"""Values of constants inside terms on a grid: in the smoothed rows, and in the likelihood about a fit."""
+"""Grid searches for constants inside terms: on the smoothed rows, and on the likelihood about a fit."""
 
 from __future__ import annotations
 
@@ -34,16 +34,16 @@ from bayeq.likelihood.model import Fitted, Task, calmed
 from bayeq.likelihood.start import precision_of_terms
 from bayeq.states import Motion
 
-# Smoothed rows in which values are sought, at most, where no term is a wave.
+# About how many smoothed rows a grid search uses at most, unless a term has a sine or cosine.
 ROWS = 4000
 
-# Values that are tried on the likelihood about a fit, those that explain most of the smoothed rows.
+# Number of values, those that explain most of the smoothed rows, that are tried on the likelihood about a fit.
 TRIED = 24
 
-# Values for which a term is a sum of others, but for this share, say nothing of it.
+# Values for which a term is a linear combination of others, but for this share of it, are skipped.
 COPIED = 1e-6
 
-# Differences of terms by their constants are over this much of a logarithm, or share of the range.
+# Step of finite differences of terms by their constants: in the logarithm of a scale, else as a share of the range.
 STEP = 1e-4
 
 
@@ -65,7 +65,7 @@ def first_values(terms: Sequence[Expression], motion: Motion, allowed: Bools) ->
 
 
 def first_members(motion: Motion, terms: Sequence[Expression], log_odds: Floats) -> Floats:
-    """Log odds, (C, P + 1), of which those of all members of an either-or are nothing but of one that explains most."""
+    """Log odds, (C, P + 1), with -inf for all members of an either-or except the one that explains most."""
     out = log_odds.copy()
     for members in choices_of(terms).values():
         gains = [ranked(terms, motion, log_odds[:, :-1] > -np.inf, [j])[1][0] for j in members]
@@ -87,16 +87,16 @@ class GridNode(NamedTuple):
 
 
 def start_at(motion: Motion, task: Task, fitted: Fitted, node: GridNode) -> tuple[Task, State]:
-    """The task at other values, and the start of a fit there."""
+    """The task at a node's values of constants, and the start of a fit there."""
     task = with_terms(motion, task, with_values(task.layout.terms, node.values))
     chosen = task.layout.everything.take(np.flatnonzero(node.model))
     return task, calmed(replace(fresh(fitted.state, task.layout), chosen=chosen, theta=node.theta))
 
 
 def on_gram(task: Task, fitted: Fitted, family: Sequence[int], values: Sequence[Mapping[str, float]]) -> list[GridNode]:
-    """What the likelihood about a fit makes of other values of a family's constants; nothing where it is not finite.
+    """Scores, by the likelihood about a fit, of other values of a family's constants; -inf where it is not finite.
 
-    Beside each term stand its derivatives by its constants, so that a node of a grid covers its neighbourhood.
+    Derivatives by its constants are added to each term, so that a node of a grid covers its neighbourhood.
     """
     layout, P, C = task.layout, len(task.layout.terms), task.layout.chains
     names = [(j, name) for j in family for name in layout.terms[j].unknowns]
@@ -143,8 +143,8 @@ def on_gram(task: Task, fitted: Fitted, family: Sequence[int], values: Sequence[
 def _beside(
     task: Task, fitted: Fitted, others: Sequence[Expression], each: Sequence[int]
 ) -> tuple[Quadratic, Floats, Floats]:
-    """The likelihood about zero of further terms too, and precision and log odds of all: those of the further terms,
-    which come in groups as `each`, are as of these terms, by their variance."""
+    """The likelihood, about zero, with further terms `others`, and prior precision and log odds of all. Further terms
+    come in groups like the terms `each`, and have their priors, with precision in proportion to the variance."""
     layout, P = task.layout, len(task.layout.terms)
     own, state = extended(task, fitted.state, others)
     linears, found = own.linearised(state), own.marginal(state)
@@ -161,7 +161,7 @@ def _beside(
 
 
 def extended(task: Task, state: State, others: Sequence[Expression]) -> tuple[Task, State]:
-    """The task with further terms behind its own, and a state of its own terms there; of precision they have none."""
+    """The task with further terms after its own, of prior precision 0, and the state of its own terms there."""
     layout, P, width = task.layout, len(task.layout.terms), len(task.layout.terms) + len(others) + 1
     column = np.append(np.arange(P), width - 1)
     stated = [one._replace(parts=tuple((c, int(column[j]), w) for c, j, w in one.parts)) for one in layout.stated]
@@ -174,13 +174,13 @@ def extended(task: Task, state: State, others: Sequence[Expression]) -> tuple[Ta
 
 
 def fresh(state: State, layout: Layout) -> State:
-    """The state for terms with other values: the widths of their jumps are not known if these are others."""
+    """The state for a layout whose terms have other values: widths of jumps are kept only if the jumps are the same."""
     same = layout.jumps == state.levels.layout.jumps
     return replace(state, levels=replace(state.levels, layout=layout), blurs=state.blurs if same else ())
 
 
 def derivative(term: Expression, name: str) -> Expression:
-    """The derivative of a term by one of its constants, on its scale."""
+    """The derivative of a term by one of its constants, on the constant's scale."""
     constant = term.unknowns[name]
     step = STEP * (1.0 if is_scale(constant) else constant.high - constant.low)
     if jumps_at(term, name):
@@ -194,13 +194,13 @@ def derivative(term: Expression, name: str) -> Expression:
 
 
 def bounded(constant: Unknown, place: float) -> float:
-    """A place on the scale of a constant, within its range, as a value."""
+    """The value of a constant at a place on its scale, clipped to its range."""
     low, high = to_scale(constant, constant.low), to_scale(constant, constant.high)
     return to_plain(constant, min(max(place, low), high))
 
 
 def by_rows(task: Task, motion: Motion, family: Sequence[int]) -> list[dict[str, float]]:
-    """Values of a family's constants that explain most of the smoothed rows, beside the other terms and alone."""
+    """Values of a family's constants that explain most of the smoothed rows, with the other terms and without."""
     terms, allowed = task.layout.terms, task.allowed
     beside, alone = (ranked(terms, motion, allowed, family, others)[0][:TRIED] for others in (True, False))
     return beside + [one for one in alone if one not in beside]
@@ -209,7 +209,7 @@ def by_rows(task: Task, motion: Motion, family: Sequence[int]) -> list[dict[str,
 def ranked(
     terms: Sequence[Expression], motion: Motion, allowed: Bools, family: Sequence[int], beside: bool = True
 ) -> tuple[list[dict[str, float]], list[float]]:
-    """Values of a family's constants, those first that explain most of the smoothed rows, beside the other terms."""
+    """Values of a family's constants, best on the smoothed rows first, and scores; with other terms if `beside`."""
     own = [terms[j] for j in family]
     rivals = {one.choice for one in own} - {""}
     waves = any("sin" in one.text or "cos" in one.text for one in own)
@@ -256,14 +256,14 @@ def ranked(
 def with_values(
     terms: Sequence[Expression], values: Mapping[str, float], located: Mapping[str, Unknown] | None = None
 ) -> tuple[Expression, ...]:
-    """The terms with other values of some constants; with the ranges that were found, where these are given."""
+    """The terms with other values of some constants, and with the ranges of `located` if it is given."""
     constants = constants_of(terms) if located is None else {**constants_of(terms), **located}
     found = {name: replace(constants[name], value=value) for name, value in values.items() if name in constants}
     return tuple(term.with_unknowns(found) for term in terms)
 
 
 def with_terms(motion: Motion, task: Task, terms: tuple[Expression, ...]) -> Task:
-    """The task with terms of other values; priors that were wider than at first stay so."""
+    """The task with terms of other values, and priors to match; priors that were widened stay so by the same factor."""
     layout = replace(task.layout, terms=terms)
     former = precision_of_terms(motion, task.layout)
     wider = float(np.median(task.precision / former))

@@ -1,8 +1,8 @@
-"""Coefficients by projection: the smoothed right-hand side, discrepancy included, on the terms of an equation.
+"""Coefficients by projection of the smoothed right-hand side, discrepancy included, on the terms of an equation.
 
-The likelihood fixes the sum of terms and discrepancy, not how it is divided: that depends on how long the discrepancy
-is taken to remember. Of all divisions one leaves no part of the discrepancy along the terms (orthogonal discrepancy,
-Plumlee 2017). It is one least squares of the sum on the terms, every moment with the same weight.
+The likelihood fixes the sum of terms and discrepancy, not how it is divided: that depends on the memory that the
+discrepancy is assumed to have. One division leaves the discrepancy orthogonal to the terms (orthogonal discrepancy,
+Plumlee 2017): the least squares fit of the sum by the terms, with the same weight at every moment.
 """
 
 from __future__ import annotations
@@ -18,35 +18,35 @@ from bayeq.likelihood.fit import solved
 from bayeq.numerics.distributions import correlation, memory_of
 from bayeq.numerics.settings import LIKELIHOOD
 
-# A batch has this many rows at least; from fewer batches no variance is estimated.
+# Least number of rows in a batch; least number of batches that a covariance is estimated from.
 LEAST_ROWS, LEAST_BATCHES = 8, 4
 
-# Batches, at most.
+# Largest number of batches.
 MOST_BATCHES = 64
 
-# Frequencies that the spectrum of what is left is kept as.
+# Number of frequencies that represent the spectrum of the residual.
 LINES = 12
 
 
 class Leftover(NamedTuple):
-    """What the terms of an equation leave of its right-hand side, in sums over batches of samples."""
+    """Sums over batches of samples for the projection of an equation's right-hand side on its terms."""
 
     products: Floats  # (B, r, r), of the columns with each other
     pulls: Floats  # (B, r), of the columns with the discrepancy
     square: float  # sum of squares of the discrepancy
     weight: float  # sum of the weights of samples
     target: float  # variance of the target
-    lines: tuple[float, ...]  # `lines_of_equal_power` of what the projection leaves of the right-hand side
+    lines: tuple[float, ...]  # `lines_of_equal_power` of the projection's residual
 
 
 class Projected(NamedTuple):
-    """A projection."""
+    """Coefficients by projection."""
 
     change: Floats  # (r,), of the coefficients, from those of the likelihood
-    # (r, r), which that change has for what it leaves of the right-hand side; zero where batches are too few
+    # (r, r), of that change, from the scatter of the residual's sums over batches; zero if batches are too few
     covariance: Floats
     freedom: float  # degrees of freedom of that covariance
-    share: float  # root mean square of what is left, over the target's standard deviation
+    share: float  # root mean square of the residual, over the target's standard deviation
 
 
 def leftover(
@@ -54,8 +54,8 @@ def leftover(
 ) -> Leftover:
     """Sums over batches, which do not cross records.
 
-    Of columns, (n, r), and smoothed discrepancies, (n,), of each record; a sample counts by the time around it, from
-    the intervals [s]. `target` is the variance of the target.
+    Columns, (n, r), and smoothed discrepancies, (n,), are of each record; a sample is weighted by the time around it,
+    from the intervals [s]. `target` is the variance of the target.
     """
     weights = [time_around(one) for one in intervals]
     whole = sum((w[:, None] * D).T @ D for w, D in zip(weights, columns, strict=True))
@@ -79,7 +79,7 @@ def leftover(
 
 
 def batched(columns: Floats, discrepancies: Floats, weights: Floats, count: int) -> tuple[Floats, Floats]:
-    """Sums over batches of one record: columns (n, r) with each other, and with discrepancies, (n, r) or (n, 1)."""
+    """Sums of products over batches of one record: of columns (n, r), and of these with discrepancies (n, r or 1)."""
     weighted = weights[:, None] * columns
     batches = np.array_split(np.arange(len(columns)), count)
     products = [weighted[rows].T @ columns[rows] for rows in batches]
@@ -87,7 +87,7 @@ def batched(columns: Floats, discrepancies: Floats, weights: Floats, count: int)
 
 
 def projected(left: Leftover, basis: Floats) -> Projected:
-    """The projection on coefficients that move with some free ones as `basis`, (r, f), says."""
+    """The projection with coefficients restricted to ``basis @ free``; `basis` (r, f), `free` (f,)."""
     A = basis.T @ left.products.sum(axis=0) @ basis
     pull = basis.T @ left.pulls.sum(axis=0)
     r, batches = len(basis), len(left.pulls)
@@ -104,7 +104,7 @@ def projected(left: Leftover, basis: Floats) -> Projected:
 
 
 def lines_of_equal_power(courses: Sequence[Floats], interval: float) -> tuple[float, ...]:
-    """Frequencies [Hz] that divide the power of courses, sampled evenly, into equal shares; none without power."""
+    """Frequencies [Hz] that divide the power of evenly sampled `courses` into equal shares; empty without power."""
     frequency = np.concatenate([np.fft.rfftfreq(len(one), interval) for one in courses])
     power = np.concatenate([np.abs(np.fft.rfft(one)) ** 2 / len(one) for one in courses])
     power[frequency > 0.0] *= 2.0  # of both signs
@@ -122,6 +122,6 @@ def time_around(intervals: Floats) -> Floats:
 
 
 def _correlated(scores: Sequence[Floats]) -> float:
-    """Integrated correlation time of the columns that lasts longest, in samples: sums up to the first zero."""
+    """Longest integrated correlation time of the columns, in samples, each summed up to the first zero."""
     columns = ([one[:, j] - one[:, j].mean() for one in scores] for j in range(scores[0].shape[1]))
     return max([1.0, *(1.0 / memory_of(correlation(own, own), 1)[1] for own in columns)])

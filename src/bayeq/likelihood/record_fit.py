@@ -1,4 +1,4 @@
-"""`RecordFit`: what the likelihood of the records says of every equation, as Gram matrices and one joint posterior."""
+"""`RecordFit`: all equations fitted by the likelihood of the records, with Gram matrices and one joint posterior."""
 
 from __future__ import annotations
 
@@ -38,17 +38,17 @@ from bayeq.numerics.settings import LIKELIHOOD
 from bayeq.states import Motion, Sensors
 from bayeq.states.motion import with_paths
 
-# Stretches in which long records are searched at first.
+# Number of stretches in which long records are searched at first.
 STRETCHES = 4
 
-# Where that moves no coefficient by this share of its standard deviation, the likelihood about the fit tells how far.
+# Without shrinkage a fit is repeated only if a coefficient moves by more than this share of its standard deviation.
 HARDLY = 0.1
 
-# The noise of an input is read from the record if the likelihoods of none, of that found and of 5 %, as a share of the
-# variance, differ by more nats than this: two standard errors.
+# The noise of an input is known from the record if the log likelihoods without noise, with the estimate and with 5 % of
+# the standard deviation differ by more nats than this: two standard errors.
 SOME, READ = 0.05**2, 2.0
 
-# Constants are others where they differ by this share of their range.
+# Values of a constant count as different if they are further apart than this share of its range.
 APART = 0.01
 
 
@@ -56,40 +56,40 @@ APART = 0.01
 class RecordFit:
     """The fit of all equations of a system to its records."""
 
-    task: Task  # what was to be explained
-    fitted: Fitted  # a model, and the likelihood about it: at first of the included coefficients
+    task: Task  # records, candidates and prior
+    fitted: Fitted  # a model, at first of the included coefficients, and the likelihood about it
     posterior: Posterior  # over the models of all equations, in units of the coefficients' priors
-    nearly: Nearly  # how nearly true the equations are
+    nearly: Nearly  # sizes of the functions that the equations lack, and probabilities that they lack none
     likeliest: float = -np.inf  # evidence of the likeliest model that was fitted: the posterior is about that one
-    # whether the likelihood is that about the model; of one that could not be fitted it is that about another
+    # whether the likelihood is that about the model; if the model could not be fitted it is that about another one
     own: bool = True
-    # a model, and the sums over all rows about it, where the series are some of them
+    # a model, and the sums over all rows about it, if the series hold only some rows
     more: tuple[Bools, Block] | None = None
     forms: Forms = field(default_factory=dict)  # of each either-or, the log posteriors of its members
-    # other values of the constants of stated laws by which the record is as likely
+    # other values of the constants of stated laws with which the record is nearly as likely
     rivals: tuple[Mapping[str, float], ...] = ()
 
     @classmethod
     def of(cls, task: Task, fitted: Fitted) -> RecordFit:
-        """What the best model and those it was compared with tell."""
+        """The fit and posterior of the best model, after comparison with its neighbours where this is needed."""
         fitted = replace(fitted, power=power_of(task, fitted))
         soft = soft_of(task, fitted)
         found = cls(task, fitted, *averaged(task, fitted, soft), fitted.evidence)
         if fitted.power == 1.0 and not max(found.nearly.exact) < LIKELIHOOD.nearly_true:
-            # otherwise to be likelier under an exact law, as more terms are, says nothing
+            # not if a law is only nearly true: more terms are then likelier under an exact law, which says nothing
             task, best = among_neighbours(task, fitted)
             soft, fitted = soft if best is fitted else soft_of(task, best), best
             found = cls(task, best, *averaged(task, best, soft), best.evidence)
         included = found.about(found.posterior.support)
         lost = fitted.evidence - included.fitted.evidence
         if included.own and fitted.power == 1.0 and lost < -CLEARLY:
-            return cls.of(included.task, included.fitted)  # probabilities are to be those about the likelier model
-        # where innovations are correlated a fit of another model is no more to be relied on than the raised Gram
+            return cls.of(included.task, included.fitted)  # probabilities must be those about the likelier model
+        # with correlated innovations the fit of another model is not more reliable than the Gram, raised to a power
         if included.own and (
             fitted.power < 1.0 or lost < found.worse(included.fitted.model, soft) + LIKELIHOOD.neighbour_window
         ):
             return included
-        # what the Gram says of models far from the fitted one is not to be relied on
+        # the Gram is not reliable for models far from the fitted one
         task, best = (task, fitted) if fitted.tried else among_neighbours(task, fitted, fewer=True)
         if best is not fitted:
             return cls.of(task, best)
@@ -98,7 +98,7 @@ class RecordFit:
         return found.about(found.posterior.support)
 
     def worse(self, model: Bools, soft: Soft | None) -> float:
-        """By how many nats the Gram finds an exact law of a model less likely than that of the fit, at least 0."""
+        """Nats by which the Gram finds a model less likely than that of the fit, both as exact laws; at least 0."""
         wide = np.array([self.fitted.model, model])
         if soft is not None and soft.constants:
             scores = soft.exact(wide)
@@ -108,7 +108,7 @@ class RecordFit:
         return max(float(scores[0] - scores[1]), 0.0)
 
     def of_more(self, task: Task, state: State, quadratic: Quadratic, block: Block) -> RecordFit:
-        """The fit by the likelihood of more rows: the quadratic is at a state with levels of all, the block of all."""
+        """The fit by the likelihood of all rows: levels of `state`, `quadratic` and sums of `block` are of all rows."""
         task = replace(task, series=self.task.series, counted=block.samples)
         state = replace(state, paths=self.fitted.state.paths)
         fitted = replace(self.fitted, expand=partial(replace, quadratic), state=state, tried={})
@@ -130,7 +130,7 @@ class RecordFit:
                 raise np.linalg.LinAlgError("no information on some candidates")
             task, best = moved(self.task, other)
             return replace(self, task=task, fitted=replace(best, power=self.fitted.power))
-        except np.linalg.LinAlgError:  # motion that it does not stay near: as the likelihood about the former tells it
+        except np.linalg.LinAlgError:  # it does not stay near the motion: keep the likelihood about the former model
             return replace(self, fitted=replace(self.fitted, model=model), own=False)
 
     @property
@@ -140,7 +140,7 @@ class RecordFit:
 
     @property
     def width(self) -> int:
-        """Number of candidates of an equation, the constant among them."""
+        """Number of candidates of an equation, the constant included."""
         return len(self.task.layout.terms) + 1
 
     @property
@@ -149,7 +149,7 @@ class RecordFit:
         return self.fitted.state.levels.kappa
 
     def told(self, motion: Motion) -> Motion:
-        """The motion with what the likelihood found of its channels: how inputs go between samples, and noise."""
+        """The motion with the courses of inputs between samples and the noise of channels that the fit found."""
         layout, variance = self.task.layout, self.fitted.state.levels.channels
         pairs = zip(layout.roles.inputs, layout.courses, strict=True)
         courses: dict[str, Interpolation] = {a: b for a, b in pairs if b != "smooth" and b != "cubic"}
@@ -161,7 +161,7 @@ class RecordFit:
 
     @property
     def kappa_error(self) -> Floats:
-        """Standard error of `kappa`, as a share of it, (C,): that of the spread of an autoregression of order 1."""
+        """Relative standard error of `kappa`, (C,): that of the standard deviation of an AR(1) process."""
         square = self.fitted.state.levels.memory**2
         rows = self.task.rows / len(self.task.layout.channels)
         return np.sqrt((1.0 + square) / (2.0 * rows * (1.0 - square)))
@@ -174,7 +174,7 @@ class RecordFit:
 
     @cached_property
     def inputs_of_known_noise(self) -> frozenset[str]:
-        """Noisy inputs of which the likelihood says whether they have no noise, that which was found, or some."""
+        """Inputs whose likelihood differs by more than READ between no noise, the estimate, and 5 % of the sd."""
         task, state = self.task, self.fitted.state
         levels, known = state.levels, set()
         for i, name in enumerate(task.layout.roles.inputs, task.layout.first_input):
@@ -186,7 +186,7 @@ class RecordFit:
 
     @cached_property
     def flat(self) -> bool:
-        """Whether forms of a hidden state, whose law was found, say the same: of some sum their prior says more."""
+        """Whether, with a hidden state whose law was found, a sum of coefficients is known mostly by the prior."""
         if all(chain.stated for chain in self.task.layout.roles.hidden):
             return False
         model, unit = self.fitted.model, 1.0 / np.sqrt(self.task.precision[self.fitted.model])
@@ -195,13 +195,13 @@ class RecordFit:
 
     @cached_property
     def unshrunk(self) -> tuple[State, Floats]:
-        """The fit under a prior that does not shrink coefficients, and their covariance, constants not known either."""
+        """The fit under a prior that hardly shrinks coefficients, and their covariance with constants estimated too."""
         state, covariance = self._unshrunk
         return state, covariance if self._joint is None else self._joint[0]
 
     @cached_property
     def _joint(self) -> tuple[Floats, tuple[ConstantEstimate, ...]] | None:
-        """Covariance and constants, where terms of the model have any."""
+        """Covariance of the coefficients and estimates of constants; None if no candidate has constants."""
         return self._jointly(self.fitted.power)
 
     def _jointly(self, power: float) -> tuple[Floats, tuple[ConstantEstimate, ...]] | None:
@@ -211,7 +211,7 @@ class RecordFit:
             return joint_covariance(self._hardly_shrunk, self._unshrunk[0], power)
 
     def constants(self, c: int, power: float = 1.0) -> tuple[ConstantEstimate, ...]:
-        """Constants inside the candidates of equation c, with intervals of a power of the likelihood."""
+        """Constants inside the candidates of equation c, with intervals from the likelihood raised to `power`."""
         joint = self._joint if power == 1.0 else self._jointly(power * self.fitted.power)
         allowed, terms = self.task.log_odds[self.block(c)][:-1] > -np.inf, self.task.layout.terms
         names = {name for term, inside in zip(terms, allowed, strict=True) if inside for name in term.unknowns}
@@ -219,7 +219,7 @@ class RecordFit:
 
     @cached_property
     def _unshrunk(self) -> tuple[State, Floats]:
-        """The same with constants given."""
+        """As `unshrunk`, with the constants inside terms held fixed."""
         share, state = 1.0 if self.flat else LIKELIHOOD.unshrunk, self.fitted.state
         if not self.own:  # the state is that of another model
             state = with_model(self.task, self.fitted, self.fitted.model)
@@ -233,14 +233,14 @@ class RecordFit:
             theta = covariance @ q.slope[included]
             moved = np.abs(theta - state.theta) / np.sqrt(np.diagonal(covariance))
             if self.more is None and moved.max(initial=0.0) > HARDLY:
-                with suppress(np.linalg.LinAlgError):  # far from any motion
+                with suppress(np.linalg.LinAlgError):  # the refit does not stay near the motion
                     there = fit(task, state, coarse=True).state
                     return there, task.marginal(there).covariance / self.fitted.power
             return replace(state, theta=theta), covariance
 
     @cached_property
     def calibration(self) -> Calibration:
-        """Of channels whose factors may be off, what was taken out of the samples included."""
+        """Estimated calibration factors of the channels in `gain_sd`, relative to the samples as measured."""
         with np.errstate(all="ignore"):
             return calibration_of(self._hardly_shrunk, self._unshrunk[0], self.fitted.power)
 
@@ -249,7 +249,7 @@ class RecordFit:
         return replace(self.task, precision=LIKELIHOOD.unshrunk * self.task.precision)
 
     def learned(self, sensors: Sensors) -> Sensors:
-        """What is known of sensors, with lags and factors, what of them was taken out of the samples included."""
+        """The sensors with estimated lags and factors, relative to the samples as measured."""
         if not (sensors.lags or sensors.gains):
             return sensors
         with np.errstate(all="ignore"):
@@ -257,8 +257,8 @@ class RecordFit:
         return replace(sensors, lags=lags, gains={name: self.calibration.gains[name] for name in sensors.gains})
 
     def projectable(self, c: int, model: Bools) -> bool:
-        """Whether the smoothed right-hand side of equation c is known with the terms of a model, (P,) bool."""
-        if self.task.layout.roles.chains[c].hidden:  # stated
+        """Whether the fit gives a smoothed right-hand side of equation c for the terms of a model, (P,) bool."""
+        if self.task.layout.roles.chains[c].hidden:  # it has no discrepancy
             return False
         about = self.fitted.model if self.more is None else self.more[0]
         same = bool((about == self.fitted.model).all()) and bool((about[self.block(c)][:-1] == model).all())
@@ -286,7 +286,7 @@ class RecordFit:
         return covariance @ q.slope, 0.5 * (covariance + covariance.T)
 
     def leftover(self, c: int) -> Leftover:
-        """What the terms of equation c leave of its smoothed right-hand side."""
+        """Sums for the projection of equation c's smoothed right-hand side on its terms."""
         state, _ = self.unshrunk
         own = np.flatnonzero(state.chosen.chain == c)
         columns, d = state.chosen.term[state.chosen.chain == c], self.task.layout.discrepancy[c]
@@ -307,8 +307,8 @@ class RecordFit:
         )
 
     def judged(self, motion: Motion) -> Motion:
-        """The motion that equations are judged by, rows held out too: hidden states as the record tells them, drifts
-        taken out of the samples of channels."""
+        """The motion that equations are judged by, held-out rows included: with hidden states smoothed from the record,
+        and with drifts removed from channels."""
         layout = self.task.layout
         hidden = [name for chain in layout.roles.hidden for name in chain.states]
         motion = self.told(motion)
@@ -320,7 +320,7 @@ class RecordFit:
             own = replace(self.task, series=series)
             try:
                 state, _, smoothed = at_its_path(own, replace(self.fitted.state, paths=paths, blurs=()))
-            except np.linalg.LinAlgError:  # rows held out that the motion does not stay near
+            except np.linalg.LinAlgError:  # the model does not stay near the rows held out
                 return motion
         smooth = [path + found.deviation for path, found in zip(state.paths, smoothed, strict=True)]
         if not all(np.isfinite(path).all() for path in smooth):  # the same
@@ -340,13 +340,13 @@ class RecordFit:
         return replace(motion, records=tuple(records))
 
     def block(self, c: int) -> slice:
-        """The candidates of an equation among all."""
+        """Slice of equation c's candidates among those of all equations."""
         return slice(c * self.width, (c + 1) * self.width)
 
     @cached_property
     def quadratic(self) -> Quadratic:
-        """The likelihood of all candidates beside functions of the most probable sizes; where a sum is conserved, what
-        each equation by itself tells."""
+        """The likelihood of all candidates with functions of the most probable sizes integrated out; if a sum of states
+        is conserved, that of the fit without the ties between equations."""
         task, q = self.task, self.fitted.quadratic
         if task.flows is None:
             return self._softened
@@ -355,7 +355,7 @@ class RecordFit:
 
     @cached_property
     def _softened(self) -> Quadratic:
-        """The same where nothing is conserved; without functions where they cannot be evaluated."""
+        """The likelihood with functions of the most probable sizes integrated out, or without if that is impossible."""
         tau = self.nearly.tau
         with suppress(np.linalg.LinAlgError):
             if any(tau) or self.task.layout.has_constants:
@@ -366,7 +366,7 @@ class RecordFit:
     def standards(self) -> tuple[Standardised, ...]:
         """The regression of each equation, others integrated out, in units of the priors and of the noise.
 
-        Rows count so that the constant of a model is known as well as the mean of as many independent ones.
+        The variance of the noise is such that a model's constant is known as well as the mean of n independent rows.
         """
         return tuple(self._standard(c) for c in range(self.task.layout.chains))
 
@@ -389,7 +389,7 @@ class RecordFit:
         return gram.in_units(unit * np.sqrt(self.task.precision[own[:-1]]), unit)
 
     def left_out_intercept(self, c: int) -> tuple[float, float] | None:
-        """What the constant of equation c would be, with its standard deviation; None if it is in the model."""
+        """Constant of equation c if it were added, and its standard deviation; None if in the model, 0 if hidden."""
         block, q, precision = self.block(c), self.quadratic, self.task.precision
         if self.task.layout.roles.chains[c].hidden:
             return 0.0, 0.0
@@ -402,7 +402,7 @@ class RecordFit:
 
 
 def _marginal(q: Quadratic, own: NDArray[np.intp], rest: NDArray[np.intp], precision: Floats) -> tuple[Floats, Floats]:
-    """Information on some coefficients and its slope, others integrated out."""
+    """Information on the coefficients `own` and gradient by these, with the coefficients `rest` integrated out."""
     A, b = q.information[np.ix_(own, own)], q.slope[own]
     if not len(rest):
         return A, b
@@ -422,12 +422,12 @@ def fit_record(
     conserved: Mapping[int, float] | None = None,
     others: Sequence[tuple[Motion, Sequence[Expression], Sequence[Gram]]] = (),
 ) -> RecordFit | None:
-    """Fit P candidates to the training rows of some motion, with time and smoothed; long records in stretches at first.
+    """Fit P candidates to the training rows of a smoothed motion with time; long records in stretches at first.
 
-    `log_odds`, (C, P + 1), are of each candidate, and of the constant, not being zero; `grams` of the smoothed rows,
-    one per equation; `stated` is what is known of coefficients before; `conserved` has the factors of the states, by
-    the number of the equation, of a sum that is conserved. `others` are other first paths of hidden states, terms with
-    the constants of their laws, and Grams: searches start from each, and the likeliest fit is taken. None where the
+    `log_odds`, (C, P + 1), are those of each candidate and of the constant being in the model; `grams`, one per
+    equation, are of the smoothed rows; `stated` are priors on sums of coefficients; `conserved` has the factors of the
+    states in a conserved sum, by the number of the equation. `others` are other first paths of hidden states, terms
+    with the constants of their laws, and Grams: searches start from each, and the likeliest fit is taken. None if the
     likelihood cannot be evaluated.
     """
     with np.errstate(all="ignore"), suppress(np.linalg.LinAlgError):
@@ -437,7 +437,7 @@ def fit_record(
         for start, own, sums in [(motion, terms, grams), *others]:
             with suppress(np.linalg.LinAlgError):
                 starts.append(start_from(_stretches(start)[0], own, sums, log_odds, tolerance, stated, conserved))
-        for finish in (False, True):  # of a model on the way a fit may fail
+        for finish in (False, True):  # the fit of a model that is not finished may fail
             with suppress(np.linalg.LinAlgError):
                 return _fitted(motion, some, places, starts, finish)
     return None
@@ -450,14 +450,14 @@ def _fitted(
     starts: Sequence[tuple[Task, Sequence[Start]]],
     finish: bool,
 ) -> RecordFit:
-    """The likeliest fit of those that searches lead to; `some` of the motion are what they are of."""
+    """The likeliest of the fits that searches from the starts lead to; they use `some`, stretches of the motion."""
     pairs = []
     for task, states in starts:
         with suppress(np.linalg.LinAlgError):
             pairs.append(search(task, states, finish))
     if not pairs:
         raise np.linalg.LinAlgError("no search leads to a likelihood that can be evaluated")
-    if any(chain.stated for chain in motion.roles.chains):  # a lag that is off looks like another course
+    if any(chain.stated for chain in motion.roles.chains):  # a wrong lag looks like another course of an input
         pairs = [settled(some, task, finished(task, fitted)) for task, fitted in pairs]
     (task, fitted), *others = sorted(pairs, key=lambda pair: -pair[1].evidence)
     rivals = as_likely(task, fitted, others)
@@ -471,7 +471,7 @@ def _fitted(
 
 
 def as_likely(task: Task, fitted: Fitted, others: Sequence[tuple[Task, Fitted]]) -> tuple[Mapping[str, float], ...]:
-    """Constants of the laws of hidden states by which other fits are nearly as likely."""
+    """Values of constants in laws of hidden states, different from the fit's, at which others are nearly as likely."""
     names, now, found = law_constants(task.layout.roles), constants_of(task.layout.terms), []
     for there, other in others:
         values = {name: constants_of(there.layout.terms)[name].value for name in names}
@@ -485,8 +485,8 @@ def as_likely(task: Task, fitted: Fitted, others: Sequence[tuple[Task, Fitted]])
 def learned_sensors(
     motion: Motion, terms: Sequence[Expression], log_odds: Floats, grams: Sequence[Gram]
 ) -> tuple[Sensors, float]:
-    """Lags and factors of channels, as a first fit of a dictionary to the training rows of some motion finds them, and
-    how far the farthest is from what was taken out, in standard deviations; arguments as for `fit_record`.
+    """Sensors with lags and factors estimated by a first fit of a dictionary to the training rows, and the largest
+    distance from values removed from the samples, in standard deviations; arguments as for `fit_record`.
 
     A LinAlgError says that the likelihood cannot be evaluated.
     """
@@ -504,10 +504,10 @@ def learned_sensors(
 def refit_record(
     motion: Motion, former: RecordFit, terms: Sequence[Expression], grams: Sequence[Gram]
 ) -> RecordFit | None:
-    """Fit all rows of some motion, starting from what was found on the first rows of each record.
+    """Fit all rows of a motion, starting from the fit of the first rows of each record.
 
-    Where that leaves more of a discrepancy the search begins once more, and the likelier answer is taken; None where
-    the likelihood cannot be evaluated.
+    If that leaves a larger discrepancy the search is repeated, and the likelier fit is taken; None if the likelihood
+    cannot be evaluated.
     """
     try:
         with np.errstate(all="ignore"):
@@ -535,12 +535,12 @@ def _resumed(motion: Motion, task: Task, fitted: Fitted, places: Sequence[tuple[
 
 
 def _checked(found: RecordFit) -> RecordFit:
-    _ = found.standards  # what cannot be solved is found out here
+    _ = found.standards  # raises an error here if an equation cannot be solved
     return found
 
 
 def _stretches(motion: Motion) -> tuple[Motion, list[tuple[int, int]]]:
-    """Stretches of long records, and where each begins; short ones as they are."""
+    """The motion in stretches if it is long, else as it is, and the record and first row of each."""
     total = sum(rows.n for rows in motion.train)
     if total <= LIKELIHOOD.stretches_above:
         return motion, [(record, 0) for record in range(len(motion.train))]
@@ -557,7 +557,7 @@ def _stretches(motion: Motion) -> tuple[Motion, list[tuple[int, int]]]:
 
 
 def _counts(rows: Sequence[int], longest: int) -> dict[int, int]:
-    """How many stretches of each record are taken: of many records one of some of them, evenly chosen."""
+    """Number of stretches of each record; of many records one stretch each of some, evenly chosen."""
     if len(rows) <= STRETCHES:
         return {k: max(1, round(STRETCHES * n / sum(rows))) for k, n in enumerate(rows)}
     most = -(-LIKELIHOOD.stretches_above // min(longest, int(np.median(rows))))

@@ -1,10 +1,10 @@
-"""Which coefficients are not zero.
+"""The search for the coefficients that are not zero.
 
 1. `on_the_way`, from each start: linearise, select on the Gram of all candidates, fit, and again until the model
    stays.
 2. `bayeq.likelihood.courses.with_other_inputs`: other courses of the inputs between samples are tried.
 3. `from_all_levels` fits the model.
-4. `resumed`: what was found on some rows is fitted to all, in rounds as in 1.
+4. `resumed`: the model that was found on some rows is fitted to all, in rounds as in 1.
 5. `bayeq.likelihood.spike`: flips and swaps of single terms, each compared by the evidence of its own fit.
 """
 
@@ -33,26 +33,26 @@ from bayeq.likelihood.model import (
 )
 from bayeq.numerics.settings import LIKELIHOOD
 
-# Linearisations until the support stays.
+# Most rounds of linearisation and selection.
 ROUNDS = 8
 
-# Shares of the candidates that are looked at first, the smallest expressions of them.
+# Shares of the candidates, those of the smallest expressions, that are searched first.
 SIMPLEST = (0.25, 0.5)
 
-# Samples at which growth of deviations from the path is looked for.
+# About how many samples the growth of deviations from the path is checked at.
 CHECKED = 500
 
-# All candidates together are a start if they are not more than this.
+# All candidates together are a start if there are at most this many.
 MOST_AT_ONCE = 40
 
 # With more samples than this the Gram of a fit tells its neighbours apart, and they are not fitted.
 MOST_TO_MOVE = 100_000
 
-# A state, or what gives one, or None, when it is needed; of several the first from which a fit can be begun.
+# A state, or a function that returns one or None when it is needed; of a tuple the first that a fit can begin from.
 Once = State | Callable[[], State | None]
 Start = Once | tuple[Once, ...]
 
-# Factors by which the variance of coefficients' priors may be wider, where that is likelier by this many nats.
+# Factors by which the prior variance of coefficients may be increased, if that is likelier by this many nats.
 WIDER, CLEARLY = (10.0, 100.0), 3.0
 
 
@@ -84,7 +84,7 @@ def likeliest(task: Task, fitted: Fitted) -> State:
 
 
 def steady(task: Task, state: State) -> bool:
-    """Whether a step ends near the path, and multiplies deviations by less than `most_growth`, but for maps."""
+    """Whether all steps end near the path and, except in maps, multiply deviations by `most_growth` at most."""
     spread = np.sqrt(state.levels.scales.variance[: task.layout.motion])
     most = math.inf if task.layout.discrete else LIKELIHOOD.most_growth
     for linear in task.linearised(state):
@@ -98,7 +98,7 @@ def steady(task: Task, state: State) -> bool:
 
 
 def rounds(task: Task, state: State, coarse: bool) -> tuple[Task, Fitted]:
-    """The best of fits, each of the model that is likeliest on the Gram of the one before, and its task."""
+    """The task and the best of a sequence of fits, each of the model that is likeliest on the Gram of the last one."""
     best = now = fit(task, state, coarse)
     seen = {now.model.tobytes()}
     for _ in range(ROUNDS):
@@ -111,7 +111,7 @@ def rounds(task: Task, state: State, coarse: bool) -> tuple[Task, Fitted]:
             seen.add(model)
             task = finer(task, state) if coarse else task
             now = fit(task, state, coarse)
-        except np.linalg.LinAlgError:  # of no motion that it stays near
+        except np.linalg.LinAlgError:  # the model does not stay near the motion
             if not coarse:
                 raise
             break
@@ -120,7 +120,7 @@ def rounds(task: Task, state: State, coarse: bool) -> tuple[Task, Fitted]:
 
 
 def on_the_way(task: Task, state: State) -> tuple[Task, Fitted]:
-    """Coarse rounds from one start; discrepancies remember as long as they like, from heavy noise the shorter way."""
+    """Coarse rounds from one start without the bound on memories of discrepancies: the shorter way from heavy noise."""
     bounded = state.levels.scales
     state = replace(state, levels=state.levels.unbounded)
     task, best = rounds(finer(task, state), state, coarse=True)
@@ -160,7 +160,7 @@ def from_the_simplest(task: Task, empty: State) -> State | None:
 
 
 def begun(task: Task, start: Start) -> tuple[Task, Fitted] | None:
-    """Where a start leads to by coarse rounds, or the first of some that leads anywhere; None if there is none."""
+    """The fit by coarse rounds from a start, or from the first of a tuple that can be fitted; None if there is none."""
     for one in start if isinstance(start, tuple) else (start,):
         with suppress(np.linalg.LinAlgError):
             state = one if isinstance(one, State) else one()
@@ -169,10 +169,10 @@ def begun(task: Task, start: Start) -> tuple[Task, Fitted] | None:
 
 
 def from_starts(task: Task, starts: Iterable[Start], finish: bool = False) -> tuple[Task, Fitted]:
-    """The likeliest fit that starts lead to, from the next one too where those before left a discrepancy.
+    """The likeliest fit from the starts; the next start is tried as long as a discrepancy is left.
 
-    The first model is on the way if it leaves none, unless it is to be finished too. A LinAlgError says that no start
-    leads to a likelihood that can be evaluated.
+    If the first fit leaves none it is returned as a coarse one, unless `finish`. A LinAlgError says that no start leads
+    to a likelihood that can be evaluated.
     """
     settled: dict[bytes, tuple[Task, Fitted]] = {}
     for one in starts:
@@ -197,8 +197,8 @@ def from_starts(task: Task, starts: Iterable[Start], finish: bool = False) -> tu
 def search(task: Task, starts: Sequence[Start], finish: bool = False) -> tuple[Task, Fitted]:
     """The best model that rounds of selection lead to, and the task with the steps of integration that were used.
 
-    The last start has no terms but those of stated laws; the fit of all candidates from there is a further one if these
-    are few. `finish` as in `from_starts`.
+    The last start has only the terms of stated laws; two more begin from there: all candidates together, if they are
+    few, and the simplest ones first. `finish` as in `from_starts`.
     """
     assert isinstance(starts[-1], State)
     together, simplest = partial(all_together, task, starts[-1]), partial(from_the_simplest, task, starts[-1])
@@ -206,7 +206,7 @@ def search(task: Task, starts: Sequence[Start], finish: bool = False) -> tuple[T
 
 
 def resumed(task: Task, state: State) -> Fitted:
-    """The best model of a task, looked for from a fit of some of its rows (`bayeq.likelihood.start.carried_over`)."""
+    """The best model of a task, searched from a fit of some of its rows (`bayeq.likelihood.start.carried_over`)."""
     _, best = rounds(task, state, coarse=False)
     best = over_all_sizes(task, with_small_discrepancy(task, best) if task.rows > MOST_TO_MOVE else best)
     task.recent.clear()

@@ -1,9 +1,9 @@
-"""Jumps of what is known with an error: their mean, which changes smoothly where the term jumps.
+"""Jumps of an uncertain argument, replaced by their mean, which changes smoothly where the term jumps.
 
-Where friction acts is known no better than the velocity is. A linearised model has no use for a jump: its derivative is
-zero but for a place that no sample meets. The mean of the sign over the error of its argument, m +- w, is
+The direction of friction is known no better than the velocity. In a linearised model a jump does nothing: its
+derivative is zero except at a point that no sample hits. The mean of the sign of a normal argument, m +- w, is
 erf(m / (sqrt(2) w)), taken here as tanh(m / (1.25 w)), which has the same slope at zero (statistical linearisation,
-Roberts and Spanos 1990). Steps, comparisons and what rounds down are signs of something. Kinks (abs, max, relu) have a
+Roberts and Spanos 1990). Steps, comparisons and roundings are written with such signs. Kinks (abs, max, relu) have a
 derivative on both sides, and stay.
 """
 
@@ -23,7 +23,7 @@ SLOPE = math.sqrt(2.0 / math.pi)
 
 
 def mean_of_jumps(node: Node, blur: Mapping[Node, Node]) -> Node:
-    """A term with the mean of each jump in `blur`, which has the error of its argument by what `jumps_of` gives."""
+    """A term with each jump in `blur` replaced by its mean; `blur` has the width of each jump from `jumps_of`."""
 
     def mean(jump: Call) -> Node | None:
         width = blur.get(jump)
@@ -33,7 +33,7 @@ def mean_of_jumps(node: Node, blur: Mapping[Node, Node]) -> Node:
 
 
 def _with_values(node: Node, value_of: Callable[[Call], Node | None]) -> Node:
-    """A term with values in place of jumps, where there are any."""
+    """A term with each jump replaced by its ``value_of(jump)``, unless that is None."""
     parts = tuple(_with_values(part, value_of) for part in arguments_of(node))
     jump = jump_of(node)
     mean = None if jump is None else value_of(jump)
@@ -54,48 +54,48 @@ def _with_values(node: Node, value_of: Callable[[Call], Node | None]) -> Node:
 
 
 def _mean(jump: Call, argument: Node, width: Node) -> Node:
-    """Mean of a sign or a floor."""
+    """Mean of a sign or a floor over the width of its argument."""
     above, _, distance = _sides(Call(jump.function, (argument,)))
     sign = Call("tanh", (Binary("/", Binary("*", distance, number(SLOPE)), width),))
     return sign if jump.function == "sign" else Binary("-", above, _share(sign, "-"))
 
 
 def _sides(jump: Call) -> tuple[Node, Node, Node]:
-    """Values of a sign or a floor above and below its jump, and the distance of the argument from there."""
+    """Values of a sign or a floor above and below its nearest jump, and the argument's signed distance from that."""
     argument = jump.arguments[0]
     if jump.function == "sign":
         return number(1.0), number(-1.0), argument
-    nearest = Call("floor", (Binary("+", argument, number(0.5)),))  # where it jumps next
+    nearest = Call("floor", (Binary("+", argument, number(0.5)),))  # the nearest jump
     return nearest, Binary("-", nearest, number(1.0)), Binary("-", argument, nearest)
 
 
 def half_of_jump(term: Expression, jump: Call, evaluate: Evaluator) -> Floats | float:
-    """Half of what a term changes by where it jumps, (n,); 0 of one that does not jump there."""
+    """Half of the change of a term across a jump, (n,); 0 if the term does not contain it."""
     above, below, _ = _sides(jump)
     upper, lower = (_with_values(term.tree, {jump: side}.get) for side in (above, below))
     return 0.5 * (evaluate(Expression(upper)) - evaluate(Expression(lower))) if upper != lower else 0.0
 
 
 def middle_of_jump(term: Expression, jump: Call, evaluate: Evaluator) -> Floats | float:
-    """A term halfway through a jump of a sign, (n,)."""
+    """A term with a sign in it set to 0, halfway through its jump, (n,)."""
     return evaluate(Expression(_with_values(term.tree, {jump: number(0.0)}.get)))
 
 
 def unresolved_share(jump: Call, evaluate: Evaluator, width: Floats, error: Floats) -> Floats:
-    """Mean square of what the mean of a jump over `width`, (n,), is off where the path errs by `error`, (n,), in
-    units of the square of its half."""
+    """Mean square error of a jump smoothed over `width`, (n,), if the standard deviation of its argument is `error`,
+    (n,); in units of the squared half of the jump."""
     values = SLOPE * evaluate(Expression(_sides(jump)[2]))
     taken, true = np.tanh(values / width), np.tanh(values / error)
     return np.asarray(1.0 - 2.0 * taken * true + taken**2)
 
 
 def _share(mean: Node, sign: str) -> Node:
-    """(1 +- mean of a sign)/2: how much of the time it is positive, or negative."""
+    """(1 +- mean of a sign)/2: the probability that it is positive, or negative."""
     return Binary("/", Binary(sign, Number(1), mean), Number(2))
 
 
 def _mixed(condition: Node, first: Node, second: Node) -> Node:
-    """``where`` with a condition that holds some of the time; what never counts may be undefined."""
+    """``where`` with a condition that is a probability: both cases weighted by it; one of weight 0 may be undefined."""
     if is_comparison(condition):
         return Call("where", (condition, first, second))
     rest = Binary("-", Number(1), condition)

@@ -1,9 +1,9 @@
-"""A law that is only nearly true: beside the included terms a small function of the states, whose size is learned.
+"""Laws that are only nearly true: included terms plus a small function of the states, whose size is estimated.
 
-In the units of the coefficients' priors those of equation c are ``gamma N(0, I) + zeta``: slabs, and a soft spike
-``zeta ~ N(0, tau^2 R R')``. R makes the function phi'zeta isotropic in the span of all candidates on the record, of
-root mean square tau times the target's standard deviation. To integrate zeta out changes the likelihood of the slabs'
-coefficients alone, so that whatever compares models goes on as if spikes were hard.
+In units of their priors the coefficients of equation c are ``gamma N(0, I) + zeta``: slabs, plus a soft spike
+``zeta ~ N(0, tau^2 R R')``. R makes the function phi'zeta isotropic in the span of all candidates on the record, with a
+root mean square of tau times the target's standard deviation. Integrating zeta out changes only the likelihood of the
+slabs' coefficients, so that models are compared as if spikes were hard.
 """
 
 from __future__ import annotations
@@ -37,25 +37,25 @@ from bayeq.numerics.settings import LIKELIHOOD
 
 Sizes = tuple[float, ...]
 
-# Samples, evenly chosen, that functions are isotropic on.
+# Number of samples, evenly chosen, on which functions are made isotropic: the larger of this and of this per candidate.
 ROWS, ROWS_PER_TERM = 4000, 10
 
-# Rounds over the equations; with more candidates all equations have one size.
+# Most rounds over the equations; with more than this many candidates all equations have one size.
 ROUNDS, MOST_APART = 3, 300
 
-# Directions in which candidates hardly differ from nothing, as a share of the largest, are none.
+# Directions whose singular value or eigenvalue is below this share of the largest are left out.
 CUT = 1e-7
 
 # Hidden candidates are monomials of this degree at most.
 MOST_DEGREE = 6
 
-# Sizes whose likeliest model is less likely than that of the best by more nats are not averaged over.
+# Sizes are not averaged over if their likeliest model is less likely than that of the best size by more nats.
 NEGLIGIBLE = 10.0
 
 
 @dataclass(frozen=True, eq=False)
 class Nearly:
-    """How nearly true the equations are."""
+    """Sizes of the functions that the equations lack, and the probabilities that they lack none."""
 
     tau: Sizes  # the most probable size of each equation's function, as a share of the target's standard deviation
     # the probability that there is none, or none larger than the tolerance; NaN where it is not known
@@ -63,15 +63,15 @@ class Nearly:
 
     @classmethod
     def unknown(cls, chains: int) -> Nearly:
-        """Of a fit whose likelihood does not tell."""
+        """Sizes of 0 and unknown probabilities, for a fit whose likelihood with functions cannot be evaluated."""
         return cls((0.0,) * chains, (np.nan,) * chains)
 
 
 def softened(q: Quadratic, root: Floats, spread: Floats) -> Quadratic:
     """The likelihood about p coefficients with deviations N(0, S S') integrated out, S = `spread`, (p, K).
 
-    With F'S = U diag(s) V' the information is F (I - U U') F' + F U diag(1/(1 + s^2)) U' F': the difference
-    A - A S (I + S'A S)^-1 S'A, which it equals, is lost in rounding where the noise is little; F, (p, r), is its root.
+    With `root` F, (p, r), of the information A = F F' and F'S = U diag(s) V', the result has the information
+    F (I - U U') F' + F U diag(1/(1 + s^2)) U' F'. The equal A - A S (I + S'A S)^-1 S'A is rounding if noise is low.
     """
     U, s, _ = np.linalg.svd(root.T @ spread, full_matrices=False)
     left, inside = 1.0 / (1.0 + s**2), root @ U
@@ -79,16 +79,17 @@ def softened(q: Quadratic, root: Floats, spread: Floats) -> Quadratic:
     c = np.linalg.lstsq(root, q.slope, rcond=None)[0]
     along = U.T @ c
     outside = c - U @ along
-    outside -= U @ (U.T @ outside)  # the first difference leaves rounding of c
+    outside -= U @ (U.T @ outside)  # removes rounding errors that the first difference leaves
     slope = root @ outside + inside @ (left * along)
     level = q.level + 0.5 * float(np.sum(s**2 * left * along**2)) + 0.5 * float(np.log(left).sum())
     return Quadratic(level, slope, across @ across.T + within @ within.T)
 
 
 def isotropic(columns: Floats, moved: Sequence[Floats], deviation: float) -> Floats:
-    """R, (p, K), of functions of columns in units of coefficients' priors: of root mean square `deviation`, all alike.
+    """R, (p, K), of isotropic functions, of root mean square `deviation`, of columns in units of coefficients' priors.
 
-    Columns, (n, p), are along the path, `moved` what uncertain states change them by: more of that is noise.
+    Columns, (n, p), are along the path; `moved` are their changes by one standard deviation of each state: directions
+    that have more power from these than from the path are left out as noise.
     """
     unit = np.sqrt(len(columns)) * deviation
     _, size, axes = np.linalg.svd(np.linalg.qr(np.vstack([columns, *moved]), mode="r") / unit, full_matrices=False)
@@ -102,7 +103,7 @@ def isotropic(columns: Floats, moved: Sequence[Floats], deviation: float) -> Flo
 
 
 def softened_rows(gram: Gram, size: float) -> Gram:
-    """Sums over rows, noise of variance 1, with a function of the columns of some size integrated out."""
+    """The Gram, with noise of variance 1, after integrating out a function of the columns of this relative size."""
     squares, axes = np.linalg.eigh(gram.DtD / gram.n)
     kept = squares > CUT * squares[-1]
     R = axes[:, kept] * np.sqrt(gram.yty / gram.n / squares[kept] / kept.sum())
@@ -123,7 +124,7 @@ def sizes_of(tolerance: float | None, rank: int) -> Floats:
 
 
 def hidden_terms(layout: Layout, fewest: int) -> tuple[Expression, ...]:
-    """Monomials of the states that a function may need where a dictionary has few terms."""
+    """Monomials of the states that extend the span of functions if some equation has few candidates, `fewest`."""
     if fewest >= LIKELIHOOD.misfit_few:
         return ()
     states, own = layout.roles.variables, {term.text for term in layout.terms}
@@ -134,17 +135,17 @@ def hidden_terms(layout: Layout, fewest: int) -> tuple[Expression, ...]:
 
 
 class Freed(NamedTuple):
-    """What a term of a model changes by with one of its constants."""
+    """Derivative of a term of a model by one of its constants."""
 
     name: str  # of the constant
     of: tuple[int, int]  # numbers of the equation and of the term
-    change: Expression  # by a unit on the scale of the constant
-    column: int  # of the change, among all candidates of an equation
+    change: Expression  # derivative, on the scale of the constant, times the coefficient
+    column: int  # number of the derivative among all candidates of an equation
     deviation: float  # standard deviation of the constant's prior
 
 
 def freed(layout: Layout, state: State, first: int) -> list[Freed]:
-    """The constants of every term of a fit; their columns stand from `first` on."""
+    """The derivatives of every term of a fit by its constants; their columns are numbered from `first` on."""
     constants, out = constants_of(layout.terms), list[Freed]()
     for k, of in enumerate(zip(state.chosen.chain.tolist(), state.chosen.term.tolist(), strict=True)):
         for one in tangents_of(layout, state.chosen.take(np.array([k])), state.theta[[k]]):
@@ -155,16 +156,16 @@ def freed(layout: Layout, state: State, first: int) -> list[Freed]:
 
 @dataclass(eq=False)
 class Soft:
-    """The likelihood of all candidates about a fit, hidden ones too if they are few, beside functions of some size."""
+    """The likelihood of all candidates about a fit, hidden ones too if they are few, with functions integrated out."""
 
-    task: Task  # the fit
+    task: Task  # task of the fit
     fitted: Fitted
-    visible: NDArray[np.intp]  # (C (P + 1),), the candidates' numbers among all, hidden ones too
-    whole: Quadratic  # the likelihood of all, its level that of the fit
+    visible: NDArray[np.intp]  # (C (P + 1),), the candidates' numbers among all, hidden ones included
+    whole: Quadratic  # the likelihood of all candidates; its level is that at the fit
     about: Floats  # all coefficients of the fit
     # (p, K), S of functions of size 1 in each equation: deviations of all coefficients are N(0, tau^2 S S')
     spreads: list[Floats]
-    # what constants inside the fit's terms may move by: a model of these terms has it integrated out
+    # derivatives by constants inside the fit's terms: in models with these terms the constants are integrated out
     constants: Sequence[Freed] = ()
     likeliest: dict[Sizes, float] = field(default_factory=dict)
     sets: dict[Sizes, ModelSet] = field(default_factory=dict)
@@ -172,7 +173,7 @@ class Soft:
 
     @classmethod
     def of(cls, task: Task, fitted: Fitted) -> Soft:
-        """From a fit."""
+        """The likelihood about a fit, with hidden candidates and derivatives by constants added."""
         layout, state = task.layout, fitted.state
         allowed = task.log_odds.reshape(layout.chains, -1) > -np.inf
         P, constants = len(layout.terms), list[Freed]()
@@ -190,8 +191,8 @@ class Soft:
         whole = fitted.quadratic
         if width > P + 1:
             whole = information(layout, linears, state, curved).raised(fitted.power)
-        # the determinant falls by no more than the motion's start is known better for: of J = exp(-a t) over a time T
-        # its part of the likelihood, -ln(mean J^2)/2, is a T - (a T)^2/6 per state
+        # the log determinant curves downwards, since growth of deviations only tells more of the motion's start: for
+        # J = exp(-a t) over a time T -ln(mean J^2) is a T - (a T)^2/6, with the curvature slope^2/3 per state
         bend, about = np.outer(curved, curved) / (3.0 * max(layout.motion, 1)), coefficients(layout, state)
         whole = replace(whole, information=whole.information + bend, slope=whole.slope + bend @ about)
         step = max(1, sum(map(len, state.paths)) // max(ROWS, ROWS_PER_TERM * width))
@@ -215,12 +216,12 @@ class Soft:
 
     @property
     def known(self) -> list[Bools]:
-        """The model of the fit, from which searches begin too."""
+        """The model of the fit, a further start of searches over models."""
         return [self.task.narrow(self.fitted.model)]
 
     @cached_property
     def root(self) -> Floats:
-        """The root of the information on all."""
+        """Square root F of the information matrix A = F F' on all candidates, hidden functions and constants."""
         return root_of(self.whole.information)
 
     def quadratic(self, tau: Sizes, constants: Sequence[Freed] | None = None) -> tuple[Quadratic, float]:
@@ -247,7 +248,7 @@ class Soft:
         if tau not in self.sets:
             q, largest = self.quadratic(tau)
             found = list_models(self.task.problem(q), known=self.known)
-            finite = np.isfinite(found.log_posterior)  # terms that are one and the same to rounding may overflow
+            finite = np.isfinite(found.log_posterior)  # terms that are equal up to rounding may overflow
             if not finite.any():
                 raise np.linalg.LinAlgError("no model's evidence is finite")
             found = _sorted(found, found.models[finite], found.log_posterior[finite] + largest)
@@ -259,11 +260,11 @@ class Soft:
         return _sorted(found, found.models, self._integrated(tau, wide))
 
     def exact(self, wide: Bools) -> Floats:
-        """ln p(data, model) of exact laws, as of `models`."""
+        """ln p(data, model) of the models `wide` as exact laws, up to the constant of `models`."""
         return self._integrated((0.0,) * len(self.spreads), wide)
 
     def _integrated(self, tau: Sizes, wide: Bools) -> Floats:
-        """ln p of models, constants of their own terms integrated out; what their ranges cost is given back."""
+        """ln p of models with the constants of their own terms integrated out, and the cost `_lost` added back."""
         has = wide[:, self.task.number(Candidates(*np.array([one.of for one in self.constants]).T))]
         values = np.empty(len(wide))
         for pattern in np.unique(has, axis=0):
@@ -275,7 +276,7 @@ class Soft:
         return [one for one, held in zip(self.constants, pattern, strict=True) if held]
 
     def _lost(self, pattern: Bools) -> float:
-        """What the fit's model loses to the ranges of some constants, where laws are exact."""
+        """Nats that the fit's model, as an exact law, loses by integrating out the constants of `pattern`."""
         key = pattern.tobytes()
         if key not in self.costs:
             exact, own = (0.0,) * len(self.spreads), self.fitted.model[None]
@@ -284,7 +285,7 @@ class Soft:
         return self.costs[key]
 
     def _scores(self, tau: Sizes, wide: Bools, constants: Sequence[Freed]) -> Floats:
-        """ln p(data, model | sizes) of some models, some constants integrated out."""
+        """ln p(data, model | sizes) of the models `wide`, with these constants integrated out."""
         q, largest = self.quadratic(tau, constants)
         return scores_of(self.task.problem(q), np.array([self.task.narrow(one) for one in wide])) + largest
 
@@ -294,7 +295,7 @@ class Soft:
 
 
 def spreads_of(constants: Sequence[Freed], size: int, chains: int) -> list[Floats]:
-    """S, (p, 1), of each constant: deviations of all coefficients as it goes over its range are N(0, S S')."""
+    """S, (p, 1), of each constant: by its prior the deviations of all coefficients are N(0, S S')."""
     out: dict[str, Floats] = {}
     for one in constants:
         place = one.of[0] * (size // chains) + one.column
@@ -314,7 +315,7 @@ def moved_columns(task: Task, state: State, smoothed: Sequence[Adjoint], columns
 
 
 def as_fitted(found: ModelSet, task: Task, fitted: Fitted) -> ModelSet:
-    """The models with the evidence of their own fit, where they were fitted."""
+    """The models, with the evidence of their own fit for those that were fitted."""
     fits = {fitted.model.tobytes(): fitted.evidence} | fitted.tried
     own = {task.narrow(np.frombuffer(wide, dtype=np.bool_)).tobytes(): value for wide, value in fits.items()}
     places = {model.tobytes(): k for k, model in enumerate(found.models)}
@@ -330,7 +331,7 @@ def as_fitted(found: ModelSet, task: Task, fitted: Fitted) -> ModelSet:
 
 
 def among_fitted(found: ModelSet, task: Task, fitted: Fitted) -> ModelSet:
-    """The models that were fitted alone, with the evidence of their fit."""
+    """Only the models that were fitted, with the evidence of their fits."""
     tried = fitted.tried or {fitted.model.tobytes(): fitted.evidence}
     models = np.array([task.narrow(np.frombuffer(key, dtype=np.bool_)) for key in tried])
     return _sorted(found, models, np.array([*tried.values()]))
@@ -342,7 +343,7 @@ def _sorted(found: ModelSet, models: Bools, values: Floats) -> ModelSet:
 
 
 def soft_of(task: Task, fitted: Fitted) -> Soft | None:
-    """The likelihood beside functions; None where the law is to be exact, or where it cannot be evaluated."""
+    """`Soft` of a fit; None if laws are to be exact and have no constants, or if it cannot be evaluated."""
     try:
         return None if task.tolerance == 0.0 and not task.layout.has_constants else Soft.of(task, fitted)
     except np.linalg.LinAlgError:
@@ -364,7 +365,7 @@ def averaged(task: Task, fitted: Fitted, soft: Soft | None) -> tuple[Posterior, 
 
 
 def of_gram(task: Task, q: Quadratic, revise: Callable[[ModelSet], ModelSet]) -> Posterior:
-    """The posterior of all coefficients, averaged over models with other weights."""
+    """The posterior of all coefficients, averaged over models whose weights `revise` changes."""
     found = spike_slab_bma(task.gram(q), task.selected, revise=revise)
     return found if task.flows is None else task.flows.paired(found, task.precision)
 
@@ -397,13 +398,13 @@ def _most_probable(search: Soft) -> tuple[Sizes, Floats, dict[Sizes, float]]:
         logs = np.array([search.evidence(one) + p for one, p in lines[k].items()])
         first = np.array([one[group[0]] == grid[0] for one in lines[k]])
         exact[group] = np.exp(logs - np.logaddexp.reduce(logs))[first].sum()
-    # relative to the prior of what is most probable
+    # relative to the prior of the most probable sizes
     star = {one: p - line[tuple(tau)] for line in lines.values() for one, p in line.items() if tuple(tau) in line}
     return tuple(tau), exact, star
 
 
 def _mixed(found: ModelSet, search: Soft, lines: dict[Sizes, float]) -> ModelSet:
-    """Models over sizes together; `found` are those of the most probable."""
+    """The models of all sizes together, weighted by the prior of sizes; `found` are those of the most probable ones."""
     sets = [search.models(tau) for tau in lines]
     models = np.concatenate([one.models for one in sets])
     values = np.concatenate([one.log_posterior + prior for one, prior in zip(sets, lines.values(), strict=True)])
@@ -419,14 +420,14 @@ def _mixed(found: ModelSet, search: Soft, lines: dict[Sizes, float]) -> ModelSet
     return replace(_sorted(found, models[first], together), left_out=left_out)
 
 
-# Moves to a neighbour, at most.
+# Most moves from a model to a neighbour.
 MOVES = 5
 
 
 def among_neighbours(task: Task, best: Fitted, fewer: bool = False) -> tuple[Task, Fitted]:
-    """The model that single moves lead to, each compared by its own fit with its own constants; of many samples itself.
+    """The best model reached by single moves, each judged by its own fit with its own constants.
 
-    With `fewer` moves only leave terms out, whatever the Gram says.
+    With many samples it is `best` itself. With `fewer` moves only leave terms out, however unlikely by the Gram.
     """
     if task.rows > MOST_TO_MOVE:
         return task, best

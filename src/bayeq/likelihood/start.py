@@ -1,4 +1,4 @@
-"""What a fit starts from: samples, scales, priors, noise levels of the inputs, and the smoothed motion as the path."""
+"""Starts of fits: samples, scales, priors, noise levels of the inputs, and the smoothed motion as the path."""
 
 from __future__ import annotations
 
@@ -30,22 +30,22 @@ from bayeq.states import Motion, MotionRows, Roles
 # Noise of channels at first, as a share of their variance.
 FIRST_NOISE = 1e-3
 
-# Derivatives of an input that are states: a random sequence joined by straight lines, or a smooth force. Which of them
-# is decided at first by this many of its samples. Below eight samples per period a cubic course errs by more than the
+# Numbers of an input's derivatives that are states: 0 for a random sequence joined by straight lines, else smooth.
+# INPUT_ROWS samples of a record decide at first. Below eight samples per period a cubic course errs by more than the
 # noise of a good record, which a course of degree five does not. Below five, where the corner of such a course is above
 # CORNER, two more degrees do better (docs/tables/few_samples.csv) at a tenth of a fit's time.
 SMOOTHNESS = (0, 1, 2, 3, 4, 5)
 SMOOTHEST, CORNER = 7, 1.1  # corner [rad per sample]
 INPUT_ROWS = 2000
 
-# Courses of an input between samples that its derivatives do not tell, and those of a random sequence.
+# Courses between samples that are tried for any input, and those that are tried only for a random sequence.
 OTHERWISE: tuple[Course, ...] = ("linear", "hold")
 BENT: tuple[Course, ...] = ("cubic", "band-limited")
 
-# A tie holds to this share of the prior's standard deviation of its first coefficient, whose log odds alone are -ALONE.
+# Standard deviation of a tie as a share of that of its first coefficient's prior; log odds of that one alone: -ALONE.
 TIED, ALONE = 1e-6, 3.0
 
-# Memory of discrepancies at first.
+# Bounds of the memory of discrepancies at first, the lag-1 correlation of the target.
 LEAST_MEMORY, MOST_MEMORY = 0.05, 0.99
 
 
@@ -58,10 +58,10 @@ def start_from(
     stated: tuple[Stated, ...] = (),
     conserved: Mapping[int, float] | None = None,
 ) -> tuple[Task, tuple[Start, ...]]:
-    """What is to be explained by a dictionary in the training rows of some motion, and where fits start.
+    """The task of a dictionary on the training rows of a motion, and the starts of its fits.
 
-    The states are the regression of the smoothed rows, of half as many terms as often as no fit begins from that, and
-    the motion without any term. Arguments are those of `bayeq.likelihood.record_fit.fit_record`.
+    These are the regression of the smoothed rows, with half as many terms again and again as long as no fit can begin
+    from it, and the motion with only stated laws. Arguments are those of `bayeq.likelihood.record_fit.fit_record`.
     """
     roles, pieces = motion.roles, motion.train
     known = _known_noise(motion)
@@ -111,10 +111,10 @@ def start_from(
 
 
 def _tied(stated: Stated, layout: Layout, precision: Floats, odds: Floats) -> Stated:
-    """A tie as a sum that is known very well; the first of its coefficients gets the odds that follow from the others.
+    """A tie as a sum that is known to TIED; the log odds of the first of its coefficients are raised to allow for this.
 
-    Within TIED of a prior's standard deviation the sum has a share TIED of the prior probability, which those odds make
-    up for; alone the first coefficient is nothing, so that odds of 1/20 are left to that.
+    The prior probability that the tie holds to TIED of a prior's standard deviation is about TIED, which these odds
+    compensate. Without the others the first coefficient must be zero: odds of 1/20 are left for it.
     """
     if stated.sd > 0.0:
         return stated
@@ -126,7 +126,7 @@ def _tied(stated: Stated, layout: Layout, precision: Floats, odds: Floats) -> St
 
 
 def _known_noise(motion: Motion) -> dict[str, float]:
-    """Known standard deviations of the noise of channels: 0 of inputs that stay as they are in every record."""
+    """Known standard deviations of the noise of channels: 0 for inputs that are constant in every record."""
     still = {
         name: 0.0 for name in motion.roles.inputs if all(np.ptp(rows.columns[name]) == 0.0 for rows in motion.records)
     }
@@ -142,8 +142,8 @@ def _set_known(noise: Floats, layout: Layout, scales: Scales, known: Mapping[str
 
 
 def start_of_runs(motion: Motion, terms: Sequence[Expression], course: Course) -> tuple[Task, State]:
-    """Where free runs of the terms of all equations start: inputs are exact and of one course, there is hardly a
-    discrepancy and not yet a term."""
+    """Start of free runs of the terms of all equations: inputs are exact and of one course, no term is in the model,
+    and discrepancies have the variances of the targets and hardly any memory, until the caller sets them."""
     roles, count = motion.roles, len(motion.roles.inputs)
     bare = Layout(
         roles, tuple(terms), motion.unit_gains, (0,) * count, (0.0,) * count, (0.0,) * count, (course,) * count
@@ -168,8 +168,8 @@ def start_of_runs(motion: Motion, terms: Sequence[Expression], course: Course) -
 
 
 def _by_rows(task: Task, empty: State, grams: Sequence[Gram], most: float = math.inf) -> State:
-    """The likeliest model of each equation, of `most` terms, as a regression of the smoothed rows; of a map with its
-    constant, without which samples far from zero are explained by noise."""
+    """A start from the likeliest regression of each equation's smoothed rows, of `most` terms at most; in maps with the
+    constant, without which noise would explain samples far from zero."""
     chains, terms, theta, left = [], [], [], []
     for c, gram in enumerate(grams):
         model, coef = likeliest_by_rows(gram, task.allowed[c], most)
@@ -216,7 +216,7 @@ def _with_inputs(layout: Layout, inputs: Sequence[_Input]) -> Layout:
 
 
 def with_courses(motion: Motion, task: Task, fitted: Fitted, k: int) -> Iterator[list[tuple[Task, State]]]:
-    """The task with other courses of input k, smooth as it is and a random sequence; the fit as a start."""
+    """Tasks with other courses of input k, as smooth as it is and as a random sequence, and the fit as their starts."""
     if task.layout.discrete:
         return
     inputs, name = _inputs_of(fitted.state), task.layout.roles.inputs[k]
@@ -254,8 +254,8 @@ def _with_others(motion: Motion, task: Task, state: State, inputs: Sequence[_Inp
 
 
 def carried_over(motion: Motion, task: Task, fitted: Fitted, places: Sequence[tuple[int, int]]) -> tuple[Task, State]:
-    """The task on the training rows of some motion, and a fit of some of them as its start; `places` are the record of
-    each path of the fit, and its first row there."""
+    """The task on the training rows of a motion, and as its start a fit of some of them; `places` are the record and
+    the first row of each path of the fit."""
     series, paths = series_and_paths(task.layout, motion.train)
     for path, (record, first) in zip(fitted.state.paths, places, strict=True):
         paths[record][first : first + len(path)] = path
@@ -304,19 +304,19 @@ def _scales(
     mean[layout.lags] = [-lag.value for _, lag in layout.late]
     variance[layout.lags] = [lag.prior_sd**2 for _, lag in layout.late]
     rounding = np.array([_rounding(column) for column in samples.T])
-    rounding[layout.first_input :] = 0.0  # a force may be switched
+    rounding[layout.first_input :] = 0.0  # values of a switched force repeat without rounding
     return Scales(mean, np.maximum(variance, 1e-300), np.nanvar(samples, axis=0), interval, rounding)
 
 
 def _drift(motion: Motion) -> float:
-    """See `Layout`: a drift is slower than the band that the records are believed in."""
+    """`Layout.drift`: 2 pi times the lower end [Hz] of the records' band times the interval [s]; 0 without a band."""
     low = motion.band[0] if motion.band else 0.0
     intervals = [np.diff(rows.time) for rows in motion.train if rows.time is not None]
     return 2.0 * math.pi * low * _interval(intervals) if low else 0.0
 
 
 def _rounding(samples: Floats) -> float:
-    """Variance of rounding to the finest step between any two samples; 0 where no value comes twice."""
+    """Variance of rounding to the finest step between any two samples; 0 if no value occurs twice."""
     samples = samples[np.isfinite(samples)]
     values = np.unique(samples)
     return float(np.diff(values).min() ** 2 / 12.0) if 1 < len(values) < len(samples) else 0.0
@@ -334,7 +334,7 @@ def precision_of_terms(motion: Motion, layout: Layout) -> Floats:
 
 
 def _offsets(motion: Motion, terms: Sequence[Expression]) -> float:
-    """Squared means, in units of their variances, of channels far from zero: the constant makes up for these."""
+    """Sum of squared means, in units of the variances, of channels far from zero: the constant compensates these."""
     total = 0.0
     for name in sorted(set().union(*(term.names for term in terms))):
         values = np.concatenate([rows.columns[name] for rows in motion.train])
@@ -344,7 +344,7 @@ def _offsets(motion: Motion, terms: Sequence[Expression]) -> float:
 
 
 def _targets(roles: Roles, pieces: Sequence[MotionRows]) -> Floats:
-    """Highest derivatives, measured ones where there are: a smoother can mistake what a force does for noise."""
+    """Highest derivatives, as measured where available, because a smoother can mistake forcing for noise."""
     return np.concatenate([np.column_stack([rows.observed[t] for t in roles.targets]) for rows in pieces])
 
 
@@ -354,7 +354,7 @@ def _input(name: str, pieces: Sequence[MotionRows], known: float | None, orders:
     one = found[-1][1]
     if one.layout.corners[0] * _interval([part.intervals for part in one.series]) > CORNER:
         orders, found = (*orders, SMOOTHEST), [*found, _alone(name, pieces, SMOOTHEST, known)]
-    # Schwarz (1978): a random sequence has neither corner nor noise, which white samples would be taken for
+    # Schwarz (1978): a smooth input has two more parameters, corner and noise; it would take white samples for noise
     rows = sum(min(len(one.samples), INPUT_ROWS) for one in found[0][1].series)
     extra = math.log(rows) * np.sign(orders)
     return _smoothed(*found[int(np.argmax([one[0] for one in found] - extra))][1:])
@@ -386,7 +386,7 @@ def with_spectra(task: Task, state: State, spectra: Sequence[Spectrum]) -> tuple
 
 
 def _alone(name: str, pieces: Sequence[MotionRows], smoothness: int, known: float | None) -> tuple[float, Task, State]:
-    """Levels of an input by the likelihood of its own samples, nothing else in the model; that likelihood first."""
+    """Log likelihood of an input's own samples alone, and the task and state with the levels that maximise it."""
     values = np.concatenate([rows.columns[name] for rows in pieces])
     mean, variance = float(values.mean()), float(values.var()) or 1.0
     step = _interval([np.diff(rows.time) for rows in pieces if rows.time is not None])
@@ -408,14 +408,14 @@ def _alone(name: str, pieces: Sequence[MotionRows], smoothness: int, known: floa
     short = [Series(one.intervals[: INPUT_ROWS - 1], *(part[:INPUT_ROWS] for part in one[1:])) for one in task.series]
     few_rows = replace(state, paths=tuple(path[:INPUT_ROWS] for path in state.paths))
     linears = linearised(layout, short, few_rows)
-    # the noise of independent samples cannot be told from themselves
+    # the noise of a white input is not identifiable
     held = np.array([not smoothness or known is not None, False, True])
     levels, found = maximised(linears, few_rows, none, held, steps=20)
     return found.value, task, replace(state, levels=levels)
 
 
 def _smoothed(task: Task, state: State) -> _Input:
-    """An input alone as its own samples have it; its paths are deviations from zero."""
+    """An input smoothed by its own samples alone; its paths are deviations from zero."""
     found = task.marginal(state)
     smoothed = adjoints(task.linearised(state), state.levels, found, found.delta)
     [one] = _inputs_of(state)

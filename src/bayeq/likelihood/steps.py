@@ -18,13 +18,13 @@ from bayeq.kernels import kernel
 from bayeq.likelihood.layout import HELD, SMOOTH, STRAIGHT, Candidates, Stated
 from bayeq.numerics.rk4 import STAGES
 
-# From these many numbers on, 4 MB, numpy asks for large pages of memory; from a fourth on it is worth to have them.
+# From LARGE floats (4 MB) on numpy asks for large pages of memory; blocks above SMALL are enlarged to get them.
 LARGE = 2**19
 SMALL = LARGE // 4
 
 
 class Steps(NamedTuple):
-    """What is integrated from each sample to the next."""
+    """Programs, inputs and settings of the integration from each sample to the next."""
 
     program: Program  # rates of the states, the targets and the terms of the model, in states, inputs and coefficients
     basis: Program  # the candidates and the constant, in states and inputs
@@ -36,20 +36,20 @@ class Steps(NamedTuple):
     last: Ints  # (C,), see `Layout.last`
     factors: Floats  # (C,), rate of that state for a target of 1; 0 of static laws, whose targets are not integrated
     motion: int  # number of states that are derivatives of chains: the first ones, which alone depend on coefficients
-    rising: Bools  # (S,), whether the rate of a state behind them is the next one, and not 0
-    straight: Ints  # (S,), how a state behind them goes from one sample to the next: `SMOOTH`, `STRAIGHT` or `HELD`
-    # whether terms hold targets: then the program gives these without discrepancies, and (I - A)^-1, at last
+    rising: Bools  # (S,), whether the rate of a state after these is the next state, and not 0
+    straight: Ints  # (S,), how a state after these goes from one sample to the next: `SMOOTH`, `STRAIGHT` or `HELD`
+    # whether terms hold targets: the program's last outputs are then targets without discrepancies, and (I - A)^-1
     implicit: bool
     discrete: bool  # whether the program gives next values in place of rates: nothing is integrated
 
     def fresh(self) -> Steps:
-        """The steps with registers of their own."""
+        """A copy of the steps with its own registers."""
         program, basis = (one._replace(registers=one.registers.copy()) for one in (self.program, self.basis))
         return self._replace(program=program, basis=basis)
 
 
 class Tangents(NamedTuple):
-    """Derivatives by the states: `tangents` of a program's registers, `powers` of the states that are no chain's."""
+    """Derivatives by the states: `tangents` of a program's registers, `powers` of the states outside chains."""
 
     tangents: Floats
     powers: Floats
@@ -57,7 +57,7 @@ class Tangents(NamedTuple):
 
 @kernel(borrowing=True)
 def _set_inputs(program: Program, inputs: Floats, size: int, row: int, fraction: float) -> None:
-    """Puts what is given, and the widths of jumps, a fraction of the interval after a sample into the registers."""
+    """Puts given variables and widths of jumps, at a fraction of the interval after a sample, into the registers."""
     rest = 1.0 - fraction
     for k in range(inputs.shape[1]):
         p = inputs[row, k]
@@ -66,10 +66,10 @@ def _set_inputs(program: Program, inputs: Floats, size: int, row: int, fraction:
 
 @kernel(borrowing=True)
 def _drift(steps: Steps, path: Floats, row: int, interval: float, fraction: float, last: bool, powers: Floats) -> None:
-    """Puts states that are no derivatives of chains, a fraction of an interval after a sample, into the registers.
+    """Puts the states outside chains, at a fraction of an interval after a sample, into the registers.
 
-    By Taylor's series; an input that is not `SMOOTH` goes straight to where that ends, or is held until there, `last`.
-    `powers` (S, S) receive derivatives by the states at the sample.
+    They follow Taylor series; an input that is not `SMOOTH` goes straight to the end of its series, or is held until
+    there; `last` asks for the end itself. `powers` (S, S) receives derivatives by the states at the sample.
     """
     size = path.shape[1]
     for i in range(steps.motion, size):
@@ -139,7 +139,7 @@ def _rates(
 
 @kernel(borrowing=True)
 def _ahead(x: Floats, h: float, rate: Floats, y: Floats) -> None:
-    """x + h rate, into `y`."""
+    """Puts x + h rate into `y`."""
     for i in range(x.shape[0]):
         for j in range(x.shape[1]):
             y[i, j] = x[i, j] + h * rate[i, j]
@@ -161,8 +161,8 @@ def integrate(
 ) -> None:
     """Runge-Kutta steps, or those of a map, from samples `first` to `stop` of a path, with their derivatives.
 
-    Receives, from its first row on, what `Linear` has; of empty arrays nothing. `own`: these are the coefficients of
-    the model.
+    The arrays receive the fields of `Linear`, and the targets (n, C); `end`, `transition` and `sources` from their
+    first row on. Empty arrays receive nothing. `own` says that the chosen coefficients are those of the model.
     """
     (n, size), r, motion = path.shape, len(chosen.chain), steps.motion
     work = Tangents(np.zeros((steps.program.registers.shape[0], size)), np.zeros((size, size)))
@@ -223,7 +223,7 @@ def integrate(
 def add_derivatives(steps: Steps, start: Floats, end: Floats, directions: Floats, between: bool, out: Floats) -> None:
     """Adds to `out` (C, P + 1) the derivatives of the candidates along directions (n, C, S), summed over rows.
 
-    They are taken at the starts of steps, or, `between`, in the middles of Runge-Kutta steps on straight lines.
+    They are taken at the starts of steps, or, if `between`, in the middles of Runge-Kutta steps on straight lines.
     """
     program, (n, size), chains = steps.basis, start.shape, directions.shape[1]
     tangents = np.zeros((program.registers.shape[0], chains))
@@ -267,14 +267,14 @@ def arrays(*shapes: tuple[int, ...]) -> list[Floats]:
     return [part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)]
 
 
-# A sum of coefficients is zero to this share of the prior's standard deviation of its first one, in fits: what is
-# selected, and the coefficients that are reported, are of flows and balance exactly.
+# In fits the standard deviation of a tied sum of coefficients is this share of the prior's of its first one. Models are
+# selected, and coefficients reported, in terms of flows, which balance exactly.
 TIED = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
 class Flows:
-    """Flows, term by term of every pair of the states of a sum, and the coefficients of other equations."""
+    """Flows between every pair of states of a conserved sum, one per candidate, and coefficients of other equations."""
 
     weights: Mapping[int, float]  # factor of each state in the sum, by the number of its equation
     chains: int  # C, the number of equations
@@ -287,7 +287,7 @@ class Flows:
 
     @cached_property
     def matrix(self) -> Floats:
-        """What each of M flows adds to every coefficient, (C (P + 1), M)."""
+        """Matrix from the M flows to the coefficients, (C (P + 1), M)."""
         columns = np.zeros((self.chains, len(self.pairs)))
         for k, (a, b) in enumerate(self.pairs):
             columns[a, k], columns[b, k] = -1.0 / self.weights[a], 1.0 / self.weights[b]
@@ -295,7 +295,7 @@ class Flows:
         return np.asarray(np.kron(np.hstack([columns, others]), np.eye(self.width)), dtype=np.float64)
 
     def ties(self, precision: Floats) -> tuple[Stated, ...]:
-        """The weighted sums of the coefficients of each term, and of the constants, are zero."""
+        """Constraints that set each term's weighted sum of coefficients over equations, and the constants', to zero."""
         own, first = precision.reshape(self.chains, self.width), min(self.weights)
         sd = TIED * abs(self.weights[first]) / np.sqrt(own[first])
         return tuple(
@@ -303,12 +303,12 @@ class Flows:
         )
 
     def wide(self, model: Bools) -> Bools:
-        """The coefficients (C (P + 1),) of flows (M,)."""
+        """The model of coefficients, (C (P + 1),), that a model of flows, (M,), changes."""
         out: Bools = self.matrix.astype(np.bool_) @ model
         return out
 
     def narrow(self, model: Bools) -> Bools:
-        """Flows (M,) that the coefficients of a model can be made of; one alone is of none."""
+        """Flows, (M,), that give the coefficients of a model; a term in only one equation of the sum gives none."""
         inside = model.reshape(self.chains, self.width)
         out = np.zeros((len(self.pairs), self.width), dtype=np.bool_)
         for j in range(self.width):
@@ -321,11 +321,11 @@ class Flows:
         return np.asarray((self.matrix**2).T @ precision)
 
     def log_odds(self, log_odds: Floats) -> Floats:
-        """Of each flow, (M,): the smallest of its coefficients."""
+        """Prior log odds of each flow, (M,): the smallest among its coefficients."""
         return np.where(self.matrix.T != 0.0, log_odds, np.inf).min(axis=1)
 
     def log_share(self, stated: tuple[Stated, ...], precision: Floats, model: Bools) -> float:
-        """ln of the share of the prior of a model's coefficients that ties leave."""
+        """ln of the share of the prior probability of a model's coefficients for which the ties hold."""
         out = 0.0
         for parts, _, sd in stated:
             inside = [(c * self.width + j, w) for c, j, w in parts if model[c * self.width + j]]

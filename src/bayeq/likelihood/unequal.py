@@ -1,8 +1,8 @@
-"""Noise whose variance is another for every sample, found in turn with the fit.
+"""Noise with a different variance for every sample, estimated alternately with the fit.
 
 Heavy tails: Student's t is such noise (Lange, Little and Taylor 1989); degrees of freedom are estimated per channel,
-and of Gaussian noise nothing changes. In proportion to the reading: variance a + b x^2 of a channel that measures x,
-both learned, or b x^2 where the share sqrt(b) is given.
+and Gaussian noise stays as it is. In proportion to the reading: variance a + b x^2 of a channel that measures x, both
+learned, or b x^2 if the share sqrt(b) is given.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ FREEDOM = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 10.0, 20.0, np.inf)
 # Least share of the mean variance that does not depend on the reading.
 CONSTANT = 1e-12
 
-# The first weights are those of the smoothed motion, with this share for what it errs by.
+# The first variances follow the squares of the smoothed motion, with this share of their mean for its errors.
 AT_FIRST = 1e-2
 
-# Rounds of fit and variances, and steps to the scale of a channel; both end where a variance of half of the samples
-# or a scale changes by less than a share.
+# Most rounds of fit and variances, and most steps to the scale of a t distribution; both end when the median change of
+# the variances of samples, or the change of the scale, is less than this share.
 ROUNDS, STEPS, SETTLED = 8, 50, 1e-3
 
 
@@ -83,7 +83,7 @@ def _log_likelihood(tails: Tails, squares: Floats) -> float:
 def proportion_of(squares: Floats, readings: Floats) -> tuple[Floats, float]:
     """The likeliest variances a + b x^2 of some errors, as multiples of their mean, and that mean.
 
-    Given are squares of the errors, (n,), and of what is measured, (n,).
+    `squares`, (n,), are the squared errors, `readings`, (n,), the squared measured values.
 
     Examples
     --------
@@ -112,7 +112,7 @@ def proportion_of(squares: Floats, readings: Floats) -> tuple[Floats, float]:
 def in_proportion(
     layout: Layout, sensors: Sensors, series: tuple[Series, ...], readings: list[Floats]
 ) -> tuple[Series, ...]:
-    """Samples with variances as the square of smoothed readings, (n, M) of every record, where the share is known."""
+    """Series with noise variances as the squares of smoothed readings, (n, M) each, where noise is given as a share."""
     out = [one.spread.copy() for one in series]
     for i, (name, _) in enumerate(layout.channels):
         if sensors.of_reading.get(name, 0.0) > 0.0:
@@ -139,7 +139,7 @@ def with_unequal_noise(task: Task, state: State, sensors: Sensors) -> tuple[Task
 
 
 def _spread(task: Task, state: State, sensors: Sensors) -> tuple[Task, State]:
-    """Variances of the samples where a fit stands, and the levels of the channels that go with them."""
+    """The task with variances of the samples from a fit's errors, and the state with channel levels to match."""
     squares, readings = _squares(task, state)
     channels = state.levels.channels.copy()
     spread = [one.spread.copy() for one in task.series]
@@ -166,10 +166,10 @@ def _spread(task: Task, state: State, sensors: Sensors) -> tuple[Task, State]:
 
 
 def _squares(task: Task, state: State) -> tuple[list[Floats], list[Floats]]:
-    """Expected squares of the errors of samples, (n, M) of every record, and of what is measured; NaN without one."""
+    """Expected squared errors of samples, (n, M) of every record, and squared measured values; NaN without a sample."""
     out, readings = [], []
     for linear, one in zip(task.linearised(state), task.series, strict=True):
-        # the future determines a sample as well as the past does
+        # smoothed covariances are about half of the filtered ones: the future tells as much as the past
         covariance = 0.5 * run_filter(linear, state.chosen, state.levels.noise).covariance
         squares, reading = linear.residual**2, (one.samples - linear.residual) ** 2
         for i, kind in enumerate(linear.kinds):

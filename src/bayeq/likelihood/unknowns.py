@@ -68,14 +68,14 @@ from bayeq.states import Motion
 # Peaks of the likelihood about a fit that are fitted, at most.
 PEAKS = 2
 
-# Where the likelihood about a fit finds another model likelier by more nats, at the values of the fit, it misleads: a
-# term is next to infinite somewhere.
+# The likelihood about a fit is not trusted if, at the values of the fit, it finds another model likelier by more nats:
+# some term is then nearly infinite somewhere.
 MISLEADS = 100.0
 
-# A series and a term in its place are both told where they are this close, in nats.
+# A series of terms and a term that can replace it are both reported if they are this close, in nats.
 CLOSE = 3.0
 
-# Rounds of trying others and of moving; another value is taken where it is likelier by this many nats.
+# Most rounds of moving constants and trying other values; another value must be likelier by this many nats.
 ROUNDS, BETTER = 3, 0.5
 
 # Gauss-Newton steps, at most; they move a constant by no more than this share of its range, and end where none moves by
@@ -86,8 +86,8 @@ STEPS, FARTHEST, NEAR = 12, 0.25, 0.05
 def with_constants(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fitted, Forms]:
     """A fit with its constants where they are likeliest, and the likeliest members of its choices.
 
-    Odds of the task know how wide ranges are; the forms are the log posteriors of members that are finite on the
-    motion.
+    Log odds of the task include the cost of the constants' ranges; the forms are the log posteriors of the members
+    whose likelihood is finite.
     """
     terms = task.layout.terms
     choices = choices_of(terms)
@@ -118,7 +118,7 @@ def with_constants(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fi
 
 
 def settled(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fitted]:
-    """The fit after rounds of steps from its values and of others."""
+    """The fit after rounds of moving its constants and of trying other values of them."""
     for _ in range(ROUNDS):
         before = fitted
         task, fitted = moved(task, fitted, motion)
@@ -132,10 +132,10 @@ def settled(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fitted]:
 def _beside_a_series(
     motion: Motion, task: Task, fitted: Fitted, family: Sequence[int]
 ) -> tuple[Task, Fitted, dict[str, float]]:
-    """The fit, or one with a family alone or other functions of its variables alone, and log posteriors of the likely.
+    """The fit, or one with either a family or other functions of its variables; log posteriors of those that are close.
 
-    Of these the one with fewest terms is taken. Many terms together may be a series for the family, which nothing about
-    the fit then asks for.
+    Of the close ones that with fewest terms is taken. Many terms together may be a series expansion of the family, in
+    which case the likelihood about the fit gives no reason to include the family.
     """
     terms = task.layout.terms
     names = frozenset[str]().union(*(terms[j].names for j in family))
@@ -152,7 +152,7 @@ def _beside_a_series(
         bare = _without(task, family)
         with suppress(np.linalg.LinAlgError):
             (now, _), (least, model) = (best_models(one.problem(fitted.quadratic))[0] for one in (task, bare))
-            if least > now - MISLEADS:  # otherwise nothing stands for the family
+            if least > now - MISLEADS:  # otherwise no other terms can replace the family
                 fits.append(settle(bare, with_model(bare, fitted, bare.wide(model))))
     scores, forms = [_averaged(*one) for one in fits], [_listed(*one, [*family, *series]) for one in fits]
     told = all(forms)  # otherwise the family is not needed, as its probability says
@@ -164,7 +164,7 @@ def _beside_a_series(
 
 
 def _alone(motion: Motion, task: Task, fitted: Fitted, family: Sequence[int]) -> tuple[Task, Fitted]:
-    """A fit of a task with the values of a family's constants that explain most beside its other candidates."""
+    """A fit of a task from the values of a family's constants that explain most together with its other candidates."""
     values, _ = ranked(task.layout.terms, motion, task.allowed, family)
     nodes = on_gram(task, fitted, family, values[:TRIED])
     return moved(*settle(*start_at(motion, task, fitted, max(nodes, key=lambda one: one.score))), motion)
@@ -178,7 +178,7 @@ def _without(task: Task, terms: Sequence[int]) -> Task:
 
 
 def _listed(task: Task, fitted: Fitted, some: Sequence[int]) -> str:
-    """Those of some terms that a model has in any equation."""
+    """Texts of the terms of `some` that a model has in any equation, separated by commas."""
     return ", ".join(task.layout.terms[j].text for j in some if _holds(task, fitted.model, [j]))
 
 
@@ -195,7 +195,7 @@ def _elsewhere(motion: Motion, task: Task, fitted: Fitted, family: Sequence[int]
         return task, fitted
     here, *others = on_gram(task, fitted, family, [now, *tried])
     least = BETTER + (here.score if here.score < here.fitted + MISLEADS else here.fitted)
-    # where the model lacks the terms, derivatives by their constants stand for them, and cost nothing
+    # in a model without the terms, derivatives by their constants could replace them at no cost: such nodes are skipped
     present = [_holds(task, one.model, family) for one in others]
     tried, others = list(itertools.compress(tried, present)), list(itertools.compress(others, present))
     peaks = [one for one in _peaks(tried, others) if one.score >= least]
@@ -204,7 +204,7 @@ def _elsewhere(motion: Motion, task: Task, fitted: Fitted, family: Sequence[int]
             other = settle(*start_at(motion, task, fitted, node))
         except np.linalg.LinAlgError:
             continue
-        # of a model without these terms their values say nothing: those of its neighbours stay
+        # a model without these terms does not depend on their values: they are changed only if it is clearly better
         if other[1].evidence > fitted.evidence + (0.0 if _holds(task, other[1].model, family) else BETTER):
             return other
     return task, fitted
@@ -216,7 +216,7 @@ def _holds(task: Task, model: Bools, family: Sequence[int]) -> bool:
 
 
 def _peaks(tried: Sequence[Mapping[str, float]], nodes: Sequence[GridNode]) -> list[GridNode]:
-    """Nodes that are likelier than those beside them, of one constant; of several the likeliest."""
+    """Local maxima over the nodes of one constant; of several constants only the likeliest node."""
     if not tried or len(tried[0]) > 1:
         return sorted(nodes, key=lambda one: -one.score)[:1]
     order = sorted(range(len(nodes)), key=lambda k: next(iter(tried[k].values())))
@@ -236,7 +236,7 @@ def _instead(motion: Motion, task: Task, fitted: Fitted, active: int, j: int) ->
 
 
 class _Tangent(NamedTuple):
-    """What the terms of an equation change by with a constant: its name, the number of the equation, the change."""
+    """Derivative of an equation's terms by a constant: its name, the number of the equation, the derivative."""
 
     name: str
     chain: int
@@ -244,7 +244,7 @@ class _Tangent(NamedTuple):
 
 
 def tangents_of(layout: Layout, chosen: Candidates, theta: Floats) -> list[_Tangent]:
-    """Of every constant of the terms of a model, on the scale of each, in every equation that it stands in."""
+    """Tangents for every constant in a model's terms, on the constant's scale, in every equation that contains it."""
     sums: dict[tuple[str, int], Node] = {}
     for c, j, size in zip(chosen.chain.tolist(), chosen.term.tolist(), theta.tolist(), strict=True):
         if j == len(layout.terms):
@@ -273,8 +273,8 @@ def _with_tangents(task: Task, state: State) -> tuple[Task, State, list[_Tangent
 def _as_one(
     tangents: Sequence[_Tangent], theta: Floats, covariance: Floats
 ) -> tuple[Floats, Floats, Mapping[str, int]]:
-    """Coefficients with tangents behind them, and their covariance, given that a constant is the same in all equations;
-    of each constant also the number of its first tangent among them."""
+    """Coefficients, tangents last, and their covariance, conditioned on each constant being the same in all equations;
+    also the number of each constant's first tangent among them."""
     first: dict[str, int] = {}
     differences = []
     for k, one in enumerate(tangents, len(theta) - len(tangents)):
@@ -341,7 +341,7 @@ def _at_values(task: Task, state: State, values: Mapping[str, float]) -> tuple[T
 
 
 def _halfway(last: tuple[Task, State], now: tuple[Task, State]) -> tuple[Task, State]:
-    """Halfway from where a fit with constants stands to where it stood."""
+    """The task and state halfway back from `now` to `last`, constants included."""
     before, after = (constants_of(task.layout.terms) for task, _ in (last, now))
     places = {name: [to_scale(one, one.value) for one in (before[name], after[name])] for name in after}
     values = {name: to_plain(after[name], 0.5 * sum(both)) for name, both in places.items()}
@@ -349,8 +349,8 @@ def _halfway(last: tuple[Task, State], now: tuple[Task, State]) -> tuple[Task, S
 
 
 def joint_covariance(task: Task, state: State, power: float = 1.0) -> tuple[Floats, tuple[ConstantEstimate, ...]]:
-    """Covariance of the coefficients of a fit whose constants are not known either, and what is known of these, both of
-    a power of the likelihood."""
+    """Covariance of a fit's coefficients with constants estimated jointly, and estimates of the constants, both from
+    the likelihood raised to `power`."""
     own, wide, tangents = _with_tangents(task, state)
     _, covariance, first = _as_one(tangents, wide.theta, own.marginal(wide, keep=False).covariance)
     terms, estimates = task.layout.terms, []
@@ -364,7 +364,7 @@ def joint_covariance(task: Task, state: State, power: float = 1.0) -> tuple[Floa
         if at is not None:
             sd = math.sqrt(float(covariance[at, at]) / power)
             if any(jumps_at(terms[j], name) for j in used):
-                sd = math.hypot(sd, extent(constant) / JUMP_NODES)  # where the term jumps is known no better
+                sd = math.hypot(sd, extent(constant) / JUMP_NODES)  # the place of a jump is known no better
             place = to_scale(constant, constant.value)
             ends = [to_plain(constant, place + way * Z95 * sd) for way in (-1.0, 1.0)]
         ci95 = max(ends[0], low), min(ends[1], high)
@@ -382,14 +382,14 @@ def _with_odds(task: Task, fitted: Fitted) -> Task:
 
 
 def _costs(task: Task, fitted: Fitted) -> dict[int, float]:
-    """What each term with constants that is in the model loses of its log odds."""
+    """Change of the log odds of each term with constants: the sum of `_lost` over its constants."""
     lost = _lost(task, fitted)
     names = {j: term.unknowns for j, term in enumerate(task.layout.terms) if term.unknowns} if lost else {}
     return {j: sum(lost.get(name, 0.0) for name in own) for j, own in names.items()}
 
 
 def _lost(task: Task, fitted: Fitted) -> dict[str, float]:
-    """What the model loses to the range of each of its constants, in nats: at least the range is not narrower."""
+    """Change of the log evidence [nats] by averaging over the range of each constant in the model, 0 at most."""
     state = fitted.state
     if not tangents_of(task.layout, state.chosen, state.theta):
         return {}
@@ -403,7 +403,7 @@ def _lost(task: Task, fitted: Fitted) -> dict[str, float]:
 
 
 def _sought(task: Task) -> list[list[int]]:
-    """Families that some equation may have, but those of laws of hidden states, which were found along the record."""
+    """Families allowed in some equation, except those of stated laws of hidden states, found along the record."""
     allowed, stated = task.allowed, [chain.stated for chain in task.layout.roles.chains]
     return [
         own for own in families(task.layout.terms) if allowed[:, own].any() and not allowed[np.ix_(stated, own)].any()

@@ -1,1 +1,1 @@
-"""Numerical methods of their own: minimisation within bounds, cubic splines, Runge-Kutta steps."""
+"""Numerical methods: minimisation within bounds, cubic splines, Runge-Kutta steps, distributions; and the settings."""

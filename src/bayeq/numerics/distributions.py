@@ -1,4 +1,4 @@
-"""The normal distribution, Student's t, the regularised incomplete beta function, and what is correlated."""
+"""The normal distribution, Student's t, the regularised incomplete beta function, correlation and shape of samples."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Z95 = 1.959963984540054
 
 
 class Shape(NamedTuple):
-    """Third and fourth standardised moments, the latter less 3, and the probability by chance of both."""
+    """Skewness, kurtosis less 3, and the p value of both under a normal distribution."""
 
     skewness: float
     kurtosis: float
@@ -25,10 +25,10 @@ class Shape(NamedTuple):
 
 
 def shape_of(e: Floats, third: float = 1.0, fourth: float = 1.0) -> Shape:
-    """The shape of numbers of mean 0, (n,) and not all 0, beside that of a normal distribution.
+    """Skewness, kurtosis and test of normality of numbers (n,) of mean 0, not all 0.
 
-    `third` and `fourth` are sums of these powers of their autocorrelations over all lags (Lobato and Velasco 2004); 1
-    of independent ones (Jarque and Bera 1980).
+    `third` and `fourth` are the sums of the third and fourth powers of their autocorrelations over all lags (Lobato and
+    Velasco 2004), 1 for independent numbers (Jarque and Bera 1980).
     """
     second = float(np.mean(e**2))
     skewness = float(np.mean(e**3)) / second**1.5
@@ -38,9 +38,9 @@ def shape_of(e: Floats, third: float = 1.0, fourth: float = 1.0) -> Shape:
 
 
 def t_quantile(freedom: ArrayLike, z: float = Z95) -> Floats:
-    """Quantile of Student's t where the normal has its own at z, by Abramowitz and Stegun 26.7.5.
+    """Quantile of Student's t at the probability of the normal quantile z, by Abramowitz and Stegun 26.7.5.
 
-    Of 3 degrees of freedom or more (within 1 %); infinitely many of the normal.
+    Accurate within 1 % for 3 degrees of freedom or more; infinitely many give the normal quantile.
 
     Examples
     --------
@@ -53,7 +53,7 @@ def t_quantile(freedom: ArrayLike, z: float = Z95) -> Floats:
     return np.asarray(z + share * (first + share * (second + share * third)))
 
 
-# Lentz's method ends where a factor changes the fraction by less.
+# Lentz's method ends where a factor changes the fraction by a smaller share.
 CLOSE = 1e-14
 MOST_STEPS = 10_000
 
@@ -106,7 +106,7 @@ def memory_of(covariance: Floats, n: int) -> tuple[float, float]:
 
 
 def excess_of(scores: Sequence[Floats]) -> tuple[float, float]:
-    """tr(J)/r of scores, (n, r) each, whose stated covariance is the identity, and its standard error."""
+    """tr(J)/r and its standard error: J is the covariance of the sum of scores, (n, r) each, stated as the identity."""
     r, longest = scores[0].shape[1], max(map(len, scores))
     excess, square, lag = sum(float(np.sum(one**2)) for one in scores) / r, 0.0, 0
     while lag < min(LIKELIHOOD.correlated_lags * excess, longest - 1):

@@ -14,31 +14,31 @@ from numpy.typing import ArrayLike
 
 from bayeq.arrays import Floats
 
-# What is minimised: its value, and the gradient.
+# The function to minimise, which returns its value and gradient.
 Objective = Callable[[Floats], tuple[float, Floats]]
 
-# Weak Wolfe conditions: the share of the decrease that the slope promises, and of the slope that may be left.
+# Weak Wolfe conditions: least share of the decrease that the slope predicts, largest share of the slope that is left.
 DECREASE, SLOPE_LEFT = 1e-4, 0.9
-# Least share of a step that interpolation cuts it to, ratio by which one too short grows, and trials.
+# Line search: least share that a step is cut to, ratio by which a step too short grows, and number of trials.
 LEAST_CUT, GROWTH, TRIALS = 0.1, 4.0, 30
 # Length of the first step, of which only the direction is known.
 FIRST_STEP = 1.0
-# A parameter this near to its bound, and pushed against it, moves by itself (the epsilon of Bertsekas).
+# A parameter this near to its bound, and pushed against it, gets a step of its own (the epsilon of Bertsekas).
 NEAR_BOUND = 1e-3
-# Least cosine between a step and the change of the gradient that it makes, for the change to be learnt from.
+# Least cosine between a step and its change of the gradient for a BFGS update.
 LEAST_CURVATURE = 1e-10
-# Decreases that may be rounding, as shares of max(1, |value|).
+# Smaller decreases may be rounding, as shares of max(1, |value|).
 ROUNDING = 1e-13
 
 
 class Minimum(NamedTuple):
-    """Where `minimise` ended."""
+    """Result of `minimise`."""
 
     x: Floats  # (n,), the parameters
     value: float
     gradient: Floats  # (n,)
     converged: bool  # whether the search ended because of one of its tolerances
-    hessian: Floats | None  # (n, n), known of it from the steps; None where that is nothing, and none was given
+    hessian: Floats | None  # (n, n), BFGS estimate, or the given one if no step was learnt from; None without both
 
 
 def minimise(
@@ -63,9 +63,9 @@ def minimise(
 
     `fun` gives the value and its gradient at an (n,) array within the bounds; where they are not finite, steps are cut.
     The search starts at `start`, (n,), moved into the bounds `lower` and `upper`, (n,) or one for all, infinite where
-    there is none; parameters with equal bounds stay. `hessian`, (n, n), is about what it is near the minimum; without,
-    the first step only follows the gradient. A step goes at most `longest` in each parameter, (n,) or one for all,
-    before it is found to be too short.
+    there is none; parameters with equal bounds stay. `hessian`, (n, n), is an estimate near the minimum; without it the
+    first step only follows the gradient. A step is at first at most `longest` in each parameter, (n,) or one for all,
+    but grows if it is found to be too short.
 
     The search ends where the projected gradient, ``x - P(x - gradient)``, has no element above `gradient_tolerance`,
     where a step decreases the value by no more than `value_tolerance`, or than rounding, or after `most_steps`. It has
@@ -130,11 +130,11 @@ class _Box(NamedTuple):
         return np.minimum(np.maximum(x, self.lower), self.upper)
 
     def projected(self, here: _Point) -> Floats:
-        """The gradient as far as the bounds let it be followed: zero at a minimum."""
+        """The projected gradient, ``x - P(x - gradient)``: zero at a minimum."""
         return here.x - self.project(here.x - here.gradient)
 
     def direction(self, here: _Point, hessian: Floats) -> Floats:
-        """The Newton step of free parameters, and one along its own axis for each that is pushed against its bound."""
+        """The Newton step of free parameters, and a step along its axis for each parameter pushed against its bound."""
         near = min(NEAR_BOUND, float(np.abs(self.projected(here)).max()))
         held = np.where(here.gradient > 0, here.x <= self.lower + near, here.x >= self.upper - near)
         out = -here.gradient / np.diagonal(hessian)

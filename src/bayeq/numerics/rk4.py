@@ -1,4 +1,4 @@
-"""Runge-Kutta runs of any right-hand side that is a tape: fixed steps, compiled once for all systems.
+"""Runge-Kutta runs of right-hand sides given as tapes: fixed steps, compiled once for all systems.
 
 The tape's variables are the d states, the inputs, then the parameters; its first d outputs are the states'
 derivatives. Sensitivities of a run are the derivatives of the discrete run itself, exact to rounding: a variational
@@ -20,7 +20,7 @@ from bayeq.numerics.spline import spline_slopes
 
 Interpolation = Literal["cubic", "linear", "hold", "band-limited"]
 
-# Steps that differ by a smaller share are even.
+# Sampling intervals count as even if they differ by a smaller share.
 EVEN = 1e-3
 
 # Rows of work space: the state between samples, a trial state, and four slopes.
@@ -28,27 +28,27 @@ STAGES = 6
 
 
 class Drive(NamedTuple):
-    """What drives a run, from sample to sample, and where it may go."""
+    """Inputs of a run, its sampling intervals and step of integration, and the range of its states."""
 
     inputs: Floats  # (n, m, 4), from `interpolant`
     intervals: Floats  # (n - 1,), between the samples [s]
-    step: float  # longest step of integration [s]; intervals are divided evenly. Of a map 0: nothing is integrated
+    step: float  # longest step of integration [s]; intervals are divided evenly. 0 for a map, which is not integrated
     low: Floats  # (d,), the range of the states; a run that leaves it, or is not finite, stops
     high: Floats  # (d,)
 
     @classmethod
     def over(cls, time: Floats, inputs: Floats, low: Floats, high: Floats) -> Drive:
-        """With samples at some times, the median interval as the step."""
+        """The drive with samples at `time`, (n,), and the median interval as the step."""
         intervals = np.diff(time)
         return cls(inputs, intervals, float(np.median(intervals)), low, high)
 
     def part(self, start: int, stop: int) -> Drive:
-        """The samples from `start` up to `stop`, that one left out."""
+        """The drive over the samples from `start` up to, without, `stop`."""
         return self._replace(inputs=self.inputs[start:stop], intervals=self.intervals[start : stop - 1])
 
 
 def check_interpolation(kind: object) -> None:
-    """Raise an InputError if there is no such interpolation."""
+    """Raise an InputError for a text that is not one of `Interpolation`."""
     if isinstance(kind, str) and kind not in get_args(Interpolation):
         raise InputError(f"interpolation must be one of {', '.join(get_args(Interpolation))}, got {kind!r}")
 
@@ -57,11 +57,11 @@ def interpolant(time: Floats, samples: Floats, kind: Interpolation) -> Floats:
     """Inputs (n, m) between their samples, as a cubic polynomial in each sampling interval, (n, m, 4).
 
     "cubic" is a spline; "linear" straight lines; "hold" the last sample, for commands that are switched; "band-limited"
-    the cubic through what the transform of even samples gives at the thirds of each interval, for forces with
+    the cubic through the trigonometric interpolation of even samples at the thirds of each interval, for forces with
     frequencies up to near half the sampling rate (a spline where steps are uneven).
 
-    The four are the values p, q at both ends of each interval, and r, s of the deviation from the straight line
-    between: in the fraction w of it, ``(1 - w) p + w q + w (1 - w) (r + w s)``. Constant after the last sample.
+    The four numbers are the values p, q at both ends of each interval, and r, s of the deviation from a straight line:
+    at the fraction w of the interval ``(1 - w) p + w q + w (1 - w) (r + w s)``. Constant after the last sample.
     """
     out = np.zeros((*samples.shape, 4))
     out[:, :, 0] = out[:, :, 1] = samples
@@ -75,7 +75,7 @@ def interpolant(time: Floats, samples: Floats, kind: Interpolation) -> Floats:
         out[:-1, :, 2], out[:-1, :, 3] = 4.5 * (2.0 * first - second), 13.5 * (second - first)
     elif kind in ("cubic", "band-limited"):
         h, slopes = steps[:, None], spline_slopes(time, samples)
-        # what the slopes at both ends are steeper than the straight line
+        # excess of the slopes at both ends over that of the straight line
         start, end = h * slopes[:-1] - rise, h * slopes[1:] - rise
         out[:-1, :, 2], out[:-1, :, 3] = start, -(start + end)
     return out
@@ -87,13 +87,13 @@ def with_time(time: Floats, inputs: Floats) -> Floats:
 
 
 def _thirds(samples: Floats) -> Floats:
-    """Samples (n, m) and the transform's values at the thirds between, but for a straight line, (3 n - 2, m)."""
+    """Samples (n, m) and, at the thirds between, trigonometric interpolation about a straight line, (3 n - 2, m)."""
     n = len(samples)
     line = np.linspace(samples[0], samples[-1], 3 * n - 2)
     rest = samples - line[::3]
     periodic = np.concatenate([rest[:-1], -rest[:0:-1]])
     spectrum = np.fft.rfft(periodic, axis=0)
-    spectrum[-1] *= 0.5  # half of the sampling rate, which stands for both signs
+    spectrum[-1] *= 0.5  # the bin at half the sampling rate holds both signs of the frequency
     return np.asarray(3.0 * np.fft.irfft(spectrum, 3 * len(periodic), axis=0)[: 3 * n - 2] + line)
 
 
@@ -129,7 +129,7 @@ def slope_at(
 def advance(
     program: Program, inputs: Floats, row: int, interval: float, substeps: int, tangents: Floats | None, work: Floats
 ) -> None:
-    """From the sample `row` to the next, by Runge-Kutta steps, of a map by none: the state ``work[0]`` is moved on."""
+    """Advance the state ``work[0]`` from sample `row` to the next, by `substeps` Runge-Kutta steps; 0 for a map."""
     size = work.shape[1]
     x, y, k1, k2, k3, k4 = work[0], work[1], work[2], work[3], work[4], work[5]
     if substeps == 0:
@@ -156,7 +156,7 @@ def advance(
 
 @kernel
 def steps_in(interval: float, step: float) -> int:
-    """Equal steps that divide an interval so that none is longer than `step`, up to rounding; none of a map."""
+    """Number of equal steps in an interval, so that none is longer than `step` up to rounding; 0 for a map."""
     if step == 0.0:
         return 0
     return max(1, math.ceil(interval / step - 1e-6))
@@ -166,7 +166,7 @@ def steps_in(interval: float, step: float) -> int:
 def free_runs(
     program: Program, drive: Drive, parameters: Floats, current: Floats, stopped: IndexArray, out: Floats
 ) -> None:
-    """Integrate ``dx/dt = f(x, u; theta)`` from several states, each with parameters of its own (runs, p).
+    """Integrate ``dx/dt = f(x, u; theta)`` from several states, each with its own parameters (runs, p).
 
     `current` (runs, d) holds the states at the first sample, and afterwards those at the last, so that the next call
     can go on. `stopped` (runs,) is 0, or the row (counted from 1) at which a run left its range. `out` (runs, n, d)
@@ -200,7 +200,7 @@ def free_runs(
 
 @kernel
 def local_errors(program: Program, drive: Drive, states: Floats, scale: Floats, out: Floats) -> None:
-    """What half the step changes in each interval from given states (n, d), the most in units `scale` (d,)."""
+    """Change over each interval, from given states (n, d), by halving the step: the largest in units `scale` (d,)."""
     size = states.shape[1]
     coarse = np.empty((STAGES, size))
     fine = np.empty((STAGES, size))
@@ -231,9 +231,9 @@ def shoot(
 ) -> int:
     """Free run of one segment: measured channels and their derivatives by initial state and parameters.
 
-    From the state `start` (d,) with parameters (p,). Of the channels (m,), i < d is state i, other numbers are those of
-    the tape's outputs. `values` (n, m) receives them along the run, `jacobian` (n, m, d + p) their derivatives. Returns
-    n, or the row at which the run left its range: from there on nothing was written.
+    The run is from the state `start` (d,) with parameters (p,). `channels` (m,) are numbers of states, from 0 to d - 1,
+    or from d on of outputs of the tape. `values` (n, m) receives the channels along the run, `jacobian` (n, m, d + p)
+    their derivatives. Returns n, or the row at which the run left its range: from there on nothing was written.
     """
     n, d, p = values.shape[0], start.shape[0], parameters.shape[0]
     q, first = d + p, d + drive.inputs.shape[1]

@@ -1,6 +1,6 @@
 """Constants that may decide an answer: those of each stage are the fields of one frozen dataclass.
 
-docs/rules.md is written from them (`python -m studies.rules`), and `python -m studies.sensitivity` moves each.
+`python -m studies.rules` writes docs/rules.md from them, and `python -m studies.sensitivity` varies each.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ T = TypeVar("T")
 
 
 def setting(default: T, about: str, rests_on: str = "choice", unit: str = "", cliff: bool = False) -> T:
-    """A field of a settings class: its value, and what it decides, and why it is what it is.
+    """A field of a settings class: its value, what it decides (`about`), and the evidence for the value (`rests_on`).
 
-    It `rests_on` tables of docs/tables and tests, in backquotes, or words that docs/rules.md explains, joined by
+    The evidence is tables of docs/tables and tests, in backquotes, or words that docs/rules.md explains, joined by
     semicolons. Without a unit it is a share, a probability or a count. At a `cliff` the answer may jump.
     """
     metadata = {"about": about, "rests_on": rests_on, "unit": unit, "cliff": cliff}
@@ -28,7 +28,7 @@ def setting(default: T, about: str, rests_on: str = "choice", unit: str = "", cl
 
 @dataclass(frozen=True)
 class RecordSettings:
-    """Gaps, times, and what is said of channels that contradict each other."""
+    """Gaps, times, and reports of channels that contradict each other."""
 
     longest_gap: float = setting(0.5, "A gap is bridged up to this share of a channel's shortest period, one over "
         "the frequency that `gap_power` of its power lies below: samples that near on either side still fix the wave "
@@ -55,7 +55,7 @@ RECORDS = RecordSettings()
 
 @dataclass(frozen=True)
 class StateSettings:
-    """Bad samples, computed channels, what is held out, and the smoother of a chain."""
+    """Bad samples, computed channels, held-out rows, and the smoother of a chain."""
 
     spike: float = setting(6.0, "A sample is a spike where its leave-one-out error is larger: two Gaussian samples "
         "in 1e9 are; none of 4e5 was left out.", "`tests/test_bad_samples.py`", "sd", cliff=True)
@@ -115,7 +115,7 @@ class LikelihoodSettings:
     first_state_sd: float = setting(10.0, "The first state is known to this many standard deviations of each state, "
         "and no better.", unit="sd")
 
-    # Levels: noise, discrepancies and what inputs do between samples
+    # Levels: noise, discrepancies and the course of inputs between samples
     shortest_memory: float = setting(0.02, "Of a discrepancy this much is left after a sample, at least; in fits "
         "twice of it: it is nearly white.")
     longest_memory: float = setting(0.999, "Of a discrepancy this much is left after a sample, at most: nearly "
@@ -157,7 +157,7 @@ class LikelihoodSettings:
         "share of the square of the jump's half; where both sides lead to the jump it holds its argument: a body "
         "that friction holds.", "`tests/test_holding.py`")
 
-    # What terms leave out, and how far the likelihood is believed
+    # Model error, and the power that the likelihood is raised to
     batch: float = setting(5.0, "A batch of what terms leave out lasts this many times as long as the scores are "
         "correlated: batches are then independent.", "`tests/test_projection.py`", "times")
     enough_batches: int = setting(16, "... and this many at least: also of a slow force the scores with fast terms "
@@ -168,7 +168,7 @@ class LikelihoodSettings:
     correlated_lags: float = setting(5.0, "The sum over lags behind that ends at this many times itself (Sokal "
         "1997).", "literature", "times")
 
-    # What a law may lack
+    # Functions that a law may lack
     misfit_least: float = setting(1e-4, "A law lacks no function of the states with probability 1/2, else one of "
         "`misfit_sizes` sizes, log-uniform from this share of the target,", "`tests/test_spike.py`")
     misfit_most: float = setting(0.04, "... to at most this: a larger function would replace terms,",
@@ -201,7 +201,7 @@ LIKELIHOOD = LikelihoodSettings()
 
 @dataclass(frozen=True)
 class RegressionSettings:
-    """Prior odds of terms, what correlated residuals are worth, and intervals."""
+    """Prior odds of terms, effective sample size of correlated residuals, and intervals."""
 
     first_odds: float = setting(1.0, "Prior log odds of polynomial terms: this less `odds_per_degree` times the "
         "degree, and this of the constant. There are many more candidates of high degree; it matters at 30 % noise "
@@ -228,7 +228,7 @@ REGRESSION = RegressionSettings()
 
 @dataclass(frozen=True)
 class InferenceSettings:
-    """Listing of models, sampling in its place, and signs."""
+    """Listing of models, sampling instead of a listing, and known signs."""
 
     most_selected: int = setting(30, "Unit of the noise prior with fewer than max(10, 0.1 n) spare rows: the "
         "residual of a forward selection of n/4 terms, at most this many; else the residual of all terms.",
@@ -295,7 +295,7 @@ EQUATION = EquationSettings()
 
 @dataclass(frozen=True)
 class ForecastSettings:
-    """Windows of runs that are compared."""
+    """Windows over which free runs are compared."""
 
     fallen: float = setting(math.exp(-1.0), "Windows of motion that nothing drives end where the autocorrelation has "
         "fallen to this.", "`tests/test_verdict.py`")
@@ -309,7 +309,7 @@ FORECAST = ForecastSettings()
 
 @dataclass(frozen=True)
 class RefineSettings:
-    """Which runs are believed, and which coefficients are accepted."""
+    """Conditions for using free runs, and for accepting refined coefficients."""
 
     lost: float = setting(0.5, "A run follows the record where it leaves less than this share of a channel's spread: "
         "out of step, least squares ends in a meaningless minimum.", "`refinement.csv`")
@@ -329,7 +329,7 @@ REFINE = RefineSettings()
 
 @dataclass(frozen=True)
 class PlanSettings:
-    """Rivals, and the inputs that are planned."""
+    """Rival models, and the inputs of a planned experiment."""
 
     models_within: float = setting(12.0, "... without averaging, those one move and as far away.", unit="nats")
     most_rivals: int = setting(4, "Rivals within the odds asked for that are compared, each simulated under every "

@@ -12,7 +12,7 @@ from bayeq.kernels import kernel
 def _solve(steps: Floats, secants: Floats, slopes: Floats) -> None:
     """Slopes at n > 3 samples by elimination without pivoting, which the dominant diagonal allows.
 
-    The second derivative is continuous at the samples within, and the third one at the second and the last but one.
+    The second derivative is continuous at the inner samples, the third one at the second and the last but one sample.
     """
     n, m = slopes.shape
     above = np.empty(n)

@@ -1,7 +1,7 @@
 """Records: measured channels, and the files they come from.
 
-`read` goes by a file's content, `write` by its suffix; `Record` holds the channels, their time and units; `Truth` what
-is known about a simulated one. Nothing here imports pandas or pyarrow before it is needed.
+`read` recognises a format by content, `write` by suffix; `Record` holds the channels, their time and units; `Truth` the
+known equation and clean signals of a simulated record. pandas and pyarrow are imported only when needed.
 """
 
 from bayeq.records.findings import Finding, check_record

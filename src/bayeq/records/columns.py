@@ -1,4 +1,4 @@
-"""``Columns``: what a file holds before it is a record; `Headers` name them, a `Request` says which are wanted."""
+"""``Columns``: the columns of a file before they become a record; `Headers`: their names; `Request`: which to read."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 #: Names of columns; a string is split at commas.
 Names = Sequence[str] | str | None
 
-#: In a path: each of several arrays, one record for each.
+#: Wildcard for the number of an array in a path; each match makes one record.
 STAR = "[*]"
 
-# Below at least this many rows one that goes back in time is a summary, and no experiment.
+# A last row that goes back in time after at least this many rows is a summary, and is left out.
 LEAST_ABOVE = 20
 
 
@@ -55,7 +55,7 @@ class Headers:
 
     @classmethod
     def parse(cls, texts: Iterable[str], where: str = "", stated: Mapping[str, str] | None = None) -> Headers:
-        """Clean the headers' texts; units that are `stated` elsewhere, by text, come before those in the texts."""
+        """Clean the texts of headers; `stated` units, by header text, take precedence over those in the texts."""
         texts = [str(text).strip() for text in texts]
         names, units = clean_names(texts)
         found = [unit or unit_in_name(text) for text, unit in zip(texts, units, strict=True)]
@@ -65,21 +65,21 @@ class Headers:
 
     @classmethod
     def of_dataframe(cls, df: pd.DataFrame, time: str | None) -> Headers:
-        """Headers of a data frame; an index named like time, or as `time`, comes first."""
+        """Headers of a data frame; an index that is time (by its name or `time`, or as dates) comes first."""
         index = [] if df.index.name is None else [str(df.index.name)]
         if index and not (is_time_name(clean_name(index[0])[0]) or time == index[0]):
             index = []
         columns = list(map(str, df.columns))
         timed = time is not None or any(is_time_name(name) for name in clean_names(columns)[0])
         if not index and not timed and getattr(df.index.dtype, "kind", "O") in "Mm":
-            index = ["t"]  # dates, which are nothing else
+            index = ["t"]  # dates can only be time
         return cls.parse([*index, *columns], "data frame")
 
     def __len__(self) -> int:
         return len(self.names)
 
     def find(self, key: str) -> int:
-        """The column that `key` names: a cleaned name, the original header, or that without its unit."""
+        """Index of the column called `key`: its cleaned name, its original header, or the header without its unit."""
         for keys, asked in ((self.names, key), (self.texts, key.strip()), (self.names, clean_name(key)[0])):
             if asked in keys:
                 return keys.index(asked)
@@ -89,7 +89,7 @@ class Headers:
         raise UnknownNameError("column", key, self.names, self.where)
 
     def clashes(self, rows: Sequence[int]) -> list[str]:
-        """What to say of `rows` whose header, cleaned, is that of other columns too."""
+        """Warnings about columns `rows` that share their cleaned header with other columns."""
         alike: dict[str, list[int]] = {}
         for i, text in enumerate(self.texts):
             alike.setdefault(clean_name(text, i + 1)[0], []).append(i)
@@ -102,17 +102,17 @@ class Headers:
 
     @property
     def time(self) -> int | None:
-        """The first column whose name says that it is time; a capital T (temperature?) only in front."""
+        """Index of the first column named like time; T, which may be temperature, only in front and without another."""
         found = [i for i, name in enumerate(self.names) if is_time_name(name) and (name != "T" or i == 0)]
         return next((i for i in found if self.names[i] != "T"), found[0] if found else None)
 
     def at(self, rows: Sequence[int]) -> Headers:
-        """Some of the columns."""
+        """Headers of the columns with indices `rows`."""
         texts, names = ([column[i] for i in rows] for column in (self.texts, self.names))
         return Headers(texts, names, [self.units[i] for i in rows], self.where)
 
     def stated_units(self) -> dict[str, str]:
-        """Units by name, of the columns that have one; an empty one where the name alone would say another."""
+        """Units by name, for columns that have one; an empty unit where only the name suggests one."""
         pairs = zip(self.names, self.units, strict=True)
         return {name: unit or "" for name, unit in pairs if unit or unit_in_name(name)}
 
@@ -128,7 +128,7 @@ class Headers:
         return replace(new, units=[unit or old for unit, old in zip(new.units, self.units, strict=True)])
 
 
-#: Which columns to read, given their names.
+#: Function of the headers that returns the indices of the columns to read.
 Select = Callable[[Headers], Sequence[int]]
 
 
@@ -138,11 +138,11 @@ class Columns:
 
     headers: Headers
     values: list[Floats]  # samples, (n,) each; missing cells are NaN
-    doubts: tuple[str, ...] = ()  # what to warn of
-    time: int | None = None  # the column that is time, where something other than its name says so
+    doubts: tuple[str, ...] = ()  # warnings to issue
+    time: int | None = None  # index of the time column, if the file marks it other than by its name
     step: float | None = None  # time step [s] that the file states
     start: float = 0.0  # time of the first row [s], where `step` is given
-    begins: float | None = None  # clock with dates at time 0 [s since 1970]
+    begins: float | None = None  # reading of the clock at time 0 [s since 1970], if the file has dates
 
     @property
     def names(self) -> list[str]:
@@ -176,7 +176,7 @@ class Columns:
 
     @classmethod
     def from_dataframe(cls, df: pd.DataFrame, request: Request) -> Columns:
-        """The columns of a data frame; those of words are left out where no columns are asked for."""
+        """The columns of a data frame; columns of words are left out, with a warning, unless columns are requested."""
         time, headers = request.time, Headers.of_dataframe(df, request.time)
         first = len(headers) - len(df.columns)  # 1 with an index
 
@@ -194,7 +194,7 @@ class Columns:
         words = [i for i in rows if np.asarray(values(i)).dtype.kind == "O"]
         asked = {headers.find(time)} if time is not None else set()
         if request.columns is not None or len(words) == len(rows) or not asked.isdisjoint(words):
-            words = []  # refused by name
+            words = []  # `build` refuses them by name
         found = cls.build(headers, values, lambda _: [i for i in rows if i not in words])
         names = ", ".join(repr(headers.texts[i]) for i in words)
         hold = "holds" if len(words) == 1 else "hold"
@@ -203,7 +203,7 @@ class Columns:
 
 
 def _of_objects(series: Any) -> Any:
-    """Objects as numbers where all are, or are missing; else as times where all are; else as they are."""
+    """Objects as float64 if all are numbers or missing, else as dates if all are ISO 8601, else unchanged."""
     import pandas as pd
 
     try:
@@ -221,23 +221,23 @@ def _of_objects(series: Any) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What `bayeq.records.read` is asked for."""
+    """Columns, time and trials that `bayeq.records.read` is to read."""
 
-    columns: Names = None  # to keep, under their own names
-    channels: Mapping[str, str] = field(default_factory=dict)  # to keep, new name to path or header
-    time: str | None = None  # the column that is time
+    columns: Names = None  # columns to keep under their own names
+    channels: Mapping[str, str] = field(default_factory=dict)  # columns to keep: new name to path or header
+    time: str | None = None  # the time column
     group: str | None = None  # the column that numbers the trials
     fs: float | None = None  # sampling rate [Hz]; no column is time then
 
     @property
     def names(self) -> list[str] | None:
-        """The columns that are asked for, time and group aside; None for all of them."""
+        """The requested columns, without time and group; None for all columns."""
         if self.columns is None and not self.channels:
             return None
         return [*listed(self.columns or []), *self.channels.values()]
 
     def rows(self, headers: Headers) -> list[int]:
-        """Which columns to read: those asked for, time (or what may be time) and the group."""
+        """Indices of the columns to read: those requested, time (or columns with a unit of time) and the group."""
         if self.names is None:
             return list(range(len(headers)))
         needed = {headers.find(name) for name in self.names}
@@ -250,7 +250,7 @@ class Request:
         return sorted(needed)
 
     def renamed(self, data: Columns) -> Columns:
-        """The columns under the names that `channels` gives them; one named twice comes twice."""
+        """The columns under their new names in `channels`; a column with two new names is repeated."""
         if not self.channels:
             return data
         headers = data.headers
@@ -266,7 +266,7 @@ class Request:
         return replace(data, headers=new, values=[data.values[i] for i in rows], time=time)
 
     def each(self, paths: Sequence[str], where: str) -> list[Request]:
-        """This request for each of the arrays that ``[*]`` stands for among the `paths` of a file; or itself."""
+        """One request for each array of `paths` that ``[*]`` matches; this request alone if it has no ``[*]``."""
         starred = [p for p in (*(self.names or ()), self.time, self.group) if p is not None and STAR in p]
         numbers: dict[str, set[int]] = {}
         for path in starred:
@@ -295,7 +295,7 @@ class Request:
         return Request(columns, channels, time, group, self.fs)
 
 
-#: Names of a single number that is the time step [s], or the sampling rate [Hz].
+#: Names under which files hold the time step [s] or the sampling rate [Hz] as a single number.
 STEP_NAMES = ("dt", "Dt", "DT", "Ts", "dT", "delta_t", "time_step", "sampling_time", "sample_time", "wf_increment")
 RATE_NAMES = (
     "fs", "Fs", "FS", "fsamp", "sample_rate", "sampling_rate", "SampleRate", "samplerate", "sampling_frequency",
@@ -305,7 +305,7 @@ RATE_NAMES = (
 def assemble(
     data: Columns, request: Request, units: Mapping[str, str] | None = None, name: str | None = None
 ) -> list[dict[str, Any]]:
-    """What records are made of, one for each run of equal values of the group; `units` come before stated ones."""
+    """Arguments of `Record` for each run of equal values of the group; `units` take precedence over stated ones."""
     where, time, fs, group = data.headers.where, request.time, request.fs, request.group
     for doubt in data.doubts:
         warnings.warn(doubt, DataWarning, stacklevel=3)  # the caller of `read` or `Record.from_dataframe`
@@ -373,7 +373,7 @@ def assemble(
 
 
 def find_time(data: Columns, units: Mapping[int, str | None], time: str | None, fs: float | None) -> int | None:
-    """The column that is time: the one named, else by its name, else the first rising one in a unit of time."""
+    """Index of the time column: `time`, else as marked or by name, else the first rising one in a unit of time."""
     if fs is not None:
         return None
     if time is not None:
@@ -397,7 +397,7 @@ def _rises(values: Floats) -> bool:
 
 
 def _stated_step(data: Columns, fs: float | None) -> tuple[float | None, int | None]:
-    """The time step [s] that the file states, in its header or a column such as Ts whose one value it is; which."""
+    """The time step [s] from the file's header or a constant column such as Ts, and the index of that column."""
     step = data.step
     if step is None and fs is None:
         for i, (name, values) in enumerate(zip(data.names, data.values, strict=True)):
@@ -416,7 +416,7 @@ def _stated_step(data: Columns, fs: float | None) -> tuple[float | None, int | N
 
 
 def _time(data: Columns, column: int | None, units: Mapping[int, str | None]) -> tuple[Floats | None, dict[str, str]]:
-    """Time in seconds, and the unit it has if that cannot be turned into seconds."""
+    """Time, in seconds if its unit can be converted, and its unit as ``{"t": unit}``, empty if unknown."""
     if column is None:
         return None, {}
     seconds, unit = data.values[column], units[column] or time_unit(data.names[column])
@@ -430,7 +430,7 @@ EXCEL_1970 = 25_569.0
 
 
 def _clock(raw: Floats, seconds: Floats) -> float | None:
-    """Clock [s since 1970] at the first row, where times are numbers of dates; None otherwise."""
+    """The first date [s since 1970] that was subtracted from times given as numbers of dates; None for other times."""
     if len(raw) < 2 or seconds[0] != 0.0 or raw[0] == 0.0:
         return None
     factor = (seconds[1] - seconds[0]) / (raw[1] - raw[0])

@@ -1,13 +1,13 @@
-"""Whether two channels are the motion and its derivative: their offset, delay, sign and gain.
+"""Comparison of a channel with the derivative of another: sign, gain, delay, offset and drift.
 
 If q is the m-th derivative of p, then for every smooth test function f that vanishes at both ends
 
     integral f q dt = (-1)^m integral f^(m) p dt,
 
-exactly and without differentiating what is measured (the weak form, or modulating functions; Shinbrot 1957). With
+exactly and without differentiating measured signals (the weak form, or modulating functions; Shinbrot 1957). With
 windowed complex exponentials as test functions both sides are short-time spectra A and B of the same derivative,
-without the leakage that differentiating a windowed signal would bring: their cross-spectrum tells delay, sign and gain
-where the two are coherent, and at zero frequency their difference is the offset.
+without the leakage of differentiating a windowed signal. Their cross-spectrum gives delay, sign and gain at coherent
+frequencies; their difference at zero frequency is the offset.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ TINY = float(np.finfo(np.float64).tiny)
 # The window sin^6, as a series in cos(2 pi k t/T): its first five derivatives vanish at the ends.
 WINDOW = (10 / 32, -15 / 32, 6 / 32, -1 / 32)
 
-# Samples in a frame: about an eighth of the record, as a power of two, between these.
+# Samples of a frame: a power of two near 1/PART of the record, within these bounds.
 SHORTEST, LONGEST = 64, 8192
 PART = 8
 
-# Frames start this many to a frame's length; fewer than the least of them tell nothing, more are not needed.
+# Frame starts per frame length; minimum number of frames for a comparison; maximum, to which they are thinned out.
 OVERLAP = 4
 LEAST_FRAMES = 12
 MOST_FRAMES = 128
@@ -40,49 +40,49 @@ SMOOTHING = 2
 # Noise bandwidth of the window, in bins.
 BANDWIDTH = 924 / 400
 
-# The phase of the whole must be known to 1/sqrt of this [rad] for a comparison.
+# Minimum information for a comparison: the phase common to all bins is known to 1/sqrt of this [rad].
 LEAST_WEIGHT = 100.0
 
-# Motion that differs from an even one, or a steadily faster one, by less than this share of it is rounding.
+# A detrended channel below this share of the original channel is rounding error.
 ROUNDING = 1e-9
 
-# Bins whose ratio of amplitudes differs from the usual one by a larger factor than exp of this do not show the motion.
+# Bins whose gain differs from the mean gain by at least this [ln] are left out, if enough others remain.
 SAME_GAIN = math.log(1.4)
 
-# Steps that polish a delay.
+# Newton steps that refine a delay.
 NEWTON = 20
 
-# Coherence squared is taken to be at most this, so that a few noise-free bins do not stand for all.
+# Upper bound of the squared coherence, so that a few noise-free bins do not dominate the weights.
 MOST_COHERENT = 0.9999
 
-# Delays are looked for up to this many samples, at this many steps each.
+# The grid of delays: up to this many samples on either side, at this many points per sample.
 MOST_DELAY = 32
 STEPS = 4
 
-# Of delays that fit this share of the best the least is taken: motion of one frequency looks the same after a period.
+# The shortest delay that reaches this share of the best fit is taken: a single frequency fits again after a period.
 AS_GOOD = 0.98
 
-# A force has the sign of the higher of two derivatives if its correlation with it, beside the others, is this.
+# Minimum partial correlation of a force with the acceleration, given x, v and x^3, for the force to decide a sign.
 PUSHED = 0.7
 
 
 class Frames(NamedTuple):
-    """Where the frames of a record are."""
+    """Frames of a record: overlapping windows of equal length."""
 
     starts: Ints  # first rows, (K,)
-    length: int  # rows of each
+    length: int  # rows per frame
     dt: float  # time step [s]
     time: Floats  # of all rows [s]
 
 
 class Shift(NamedTuple):
-    """What is to be subtracted from a channel to agree with the derivative of another."""
+    """Offset and drift of a channel relative to the derivative of another."""
 
     offset: float  # value at the middle of the record
     drift: float  # change per second
-    offset_t: float  # over its standard error
-    drift_t: float
-    freedom: int  # degrees of freedom of both
+    offset_t: float  # offset over its standard error
+    drift_t: float  # drift over its standard error
+    freedom: int  # degrees of freedom of both t values
 
 
 class Relation(NamedTuple):
@@ -95,12 +95,12 @@ class Relation(NamedTuple):
     gain_error: float  # standard error of ln gain
     delay: float  # of q [s]
     delay_error: float  # standard error [s]
-    fit: float  # share of all that is coherent that a sign and a delay explain: 1 for a perfect derivative
-    weight: float  # information: the phase of the whole is known to 1/sqrt(weight) rad
+    fit: float  # share of the coherent part that a sign and a delay explain: 1 for a perfect derivative
+    weight: float  # information: the phase common to all bins is known to 1/sqrt(weight) rad
 
 
 def uniform_frames(time: Floats | None) -> Frames | None:
-    """Frames of rows at even steps of time; None where there are too few, or no time is known."""
+    """Frames within evenly sampled stretches; None if there are too few, or without time."""
     if time is None or len(time) < SHORTEST:
         return None
     n = len(time)
@@ -108,7 +108,7 @@ def uniform_frames(time: Floats | None) -> Frames | None:
     while length < LONGEST and 2 * PART * length <= 1.5 * n:
         length *= 2
     steps = np.diff(time)
-    even = np.abs(steps / np.median(steps) - 1.0) <= RECORDS.jitter  # others end a frame
+    even = np.abs(steps / np.median(steps) - 1.0) <= RECORDS.jitter  # uneven steps end a stretch
     dt = float(steps[even].mean())
     breaks = np.flatnonzero(~even) + 1
     hop = length // OVERLAP
@@ -137,7 +137,7 @@ def _windows(frames: Frames, order: int) -> Floats:
 def _weak_derivative(values: Floats, frames: Frames, order: int) -> Complexes:
     """Short-time spectra of the `order`-th derivative of a channel, (K, bins)."""
     window, omega = _windows(frames, order), 2.0 * math.pi * np.fft.rfftfreq(frames.length, frames.dt)
-    # a constant is lost in the derivative; taken out first it leaves no rounding
+    # a constant has no derivative; subtracting it first avoids its rounding error
     pieces = (values - values.mean() if order else values)[frames.starts[:, None] + np.arange(frames.length)]
     out = np.zeros((len(pieces), len(omega)), dtype=np.complex128)
     for j in range(order + 1):
@@ -152,11 +152,11 @@ def derivative_name(name: str, order: int) -> str:
 
 
 def relate(p: Floats, q: Floats, order: int, frames: Frames) -> Relation | None:
-    """Compare a channel q with the `order`-th derivative of p, neither constant; None if nothing can be compared."""
-    # in units of their own, so that no power of them overflows
+    """Compare a channel q with the `order`-th derivative of p (neither constant); None if coherence is too low."""
+    # scaled by their ranges, so that no power of them overflows
     size_p, size_q = float(np.ptp(p)), float(np.ptp(q))
     p, q = p / size_p, q / size_q
-    # without the slowest motion, in which a shift of q hides; from both sides alike
+    # remove offset and drift of q, and from p the polynomial whose derivative they would be
     motion, other = (_detrended(frames.time, one, degree) for one, degree in ((p, 1 + order), (q, 1)))
     if any(np.abs(left).max() <= ROUNDING * np.abs(whole).max() for left, whole in ((motion, p), (other, q))):
         return None
@@ -165,15 +165,15 @@ def relate(p: Floats, q: Floats, order: int, frames: Frames) -> Relation | None:
         return None
     phase = np.angle(cross)
     fit = _align(phase, coherent, omega, frames.dt)[2]
-    # where a channel was derived from another its filter shows beyond the motion, in their common noise
+    # if one channel was computed from the other, bins of common noise show the gain of that filter: leave them out
     level = np.abs(cross) / np.maximum(power_b, TINY)
     usual = float(np.average(level, weights=power_a * (coherent > 0.0)))
     weight = np.where(np.abs(np.log(np.maximum(level, TINY) / usual)) < SAME_GAIN, coherent, 0.0)
-    if float(weight.sum()) < LEAST_WEIGHT:  # no gain is usual
+    if float(weight.sum()) < LEAST_WEIGHT:  # no common gain
         weight = coherent
     total = float(weight.sum())
     sign, delay, _ = _align(phase, weight, omega, frames.dt)
-    # phases that no straight line fits say less than they seem to
+    # phases that scatter about the line more than their variances predict: increase the standard errors
     rest = np.angle(sign * cross * np.exp(1j * omega * delay))
     misfit = max(1.0, float(weight @ rest**2) / max(float(np.count_nonzero(weight)) / BANDWIDTH, 1.0))
     aligned = np.abs(cross) * np.cos(rest)
@@ -196,16 +196,16 @@ def relate(p: Floats, q: Floats, order: int, frames: Frames) -> Relation | None:
 
 
 def _spectra(p: Floats, q: Floats, order: int, frames: Frames) -> tuple[Complexes, Floats, Floats, Floats, Floats]:
-    """Spectra of q (A) and of the derivative of p (B), averaged over frames and neighbouring bins.
+    """Cross-spectrum A B*, powers of A and B, mean frequency [rad/s] and phase weight of each bin.
 
-    A times the conjugate of B, the powers of both, the mean frequency in each bin, and the inverse variance of the
-    phase of the first, 0 where nothing is coherent.
+    A is the spectrum of q, B that of the derivative of p, averaged over frames and neighbouring bins. The weight is the
+    inverse variance of the phase of A B*, 0 where A and B are not coherent.
     """
     A = _weak_derivative(q, frames, 0)
     B, next_one = (_weak_derivative(p, frames, order + j) for j in (0, 1))
     cross, rate = (_smooth(np.mean(v * B.conj(), axis=0)) for v in (A, next_one))
     power_a, power_b = (_smooth(np.mean(np.abs(v) ** 2, axis=0) + 0j).real for v in (A, B))
-    # a bin beside a resonance holds mostly the resonance: its mean frequency, not its middle, turns a delay to a phase
+    # a bin near a resonance mostly holds leakage from it: its phase shift is delay times mean frequency, not centre
     omega = rate.imag / np.maximum(power_b, TINY)
     # inverse variance of the phase of each bin, 0 where nothing is coherent (Hannan and Thomson 1973)
     independent = len(frames.starts) / OVERLAP
@@ -216,12 +216,12 @@ def _spectra(p: Floats, q: Floats, order: int, frames: Frames) -> tuple[Complexe
     corrected = np.clip((coherence - 1.0 / averaged) / (1.0 - 1.0 / averaged), 0.0, MOST_COHERENT)
     weight = 2.0 * independent * corrected / (1.0 - corrected)
     weight[(coherence < chance) | (power_a * power_b <= TINY)] = 0.0
-    weight[-1] = 0.0  # half the sampling rate: real, and aliased
+    weight[-1] = 0.0  # the Nyquist frequency: real, and aliased
     return cross, power_a, power_b, omega, weight
 
 
 def _detrended(time: Floats, values: Floats, degree: int) -> Floats:
-    """A channel without its polynomial of a degree."""
+    """A channel minus its least-squares polynomial of a degree."""
     basis = np.polynomial.legendre.legvander(2.0 * (time - time[0]) / (time[-1] - time[0]) - 1.0, degree)
     return np.asarray(values - basis @ np.linalg.solve(basis.T @ basis, basis.T @ values))
 
@@ -232,7 +232,7 @@ def _smooth(values: Complexes) -> Complexes:
 
 
 def _align(phase: Floats, weight: Floats, omega: Floats, dt: float) -> tuple[int, float, float]:
-    """Sign and delay that maximise sum of W cos(phase + omega delay), and that maximum over the sum of W."""
+    """Sign and delay that maximise the weighted mean of sign cos(phase + omega delay), and that maximum."""
     kept = weight > 0.0
     phase, weight, omega = phase[kept], weight[kept] / weight[kept].sum(), omega[kept]
     grid = np.arange(-MOST_DELAY * STEPS, MOST_DELAY * STEPS + 1) * (dt / STEPS)
@@ -256,7 +256,7 @@ def _align(phase: Floats, weight: Floats, omega: Floats, dt: float) -> tuple[int
 
 
 def goes_with(dt: float, orders: tuple[int, int], p: Floats, q: Floats, force: Floats) -> bool:
-    """Whether q, the higher of two derivatives of these orders, clearly goes with a force beside spring and damper."""
+    """Whether a force correlates with the acceleration (q or dq/dt) after regression of both on x, v and x^3."""
     x, v = (p, np.gradient(p, dt)) if orders[0] == 0 else (np.cumsum(p - p.mean()), p)
     a = q if orders[1] == 2 else np.gradient(q, dt)
     x, v, force, a = ((one - one.mean()) / (np.std(one) or 1.0) for one in (x, v, force, a))
@@ -267,12 +267,12 @@ def goes_with(dt: float, orders: tuple[int, int], p: Floats, q: Floats, force: F
 
 def shift_of(p: Floats, q: Floats, order: int, frames: Frames, gain: float, gain_error: float = 0.0) -> Shift:
     """Offset and drift of a channel q against `gain` times the `order`-th derivative of p."""
-    some = frames._replace(starts=frames.starts[:: OVERLAP // 2])  # that overlap by half
+    some = frames._replace(starts=frames.starts[:: OVERLAP // 2])  # frames that overlap by half
     size, level = float(np.ptp(q)), float(q.mean())
     expected = _local_means(gain / size * p, order, some)
     means = _local_means((q - level) / size, 0, some) + level / size
     offset, drift = _line(means - expected, some)
-    # the error of the gain counts where the derivative has a mean, or a trend: that of a shaft that turns
+    # an error of the gain adds to offset and drift if the derivative has a mean or a trend, as of a turning shaft
     mean_error, trend_error = (gain_error / gain * value for value in _line(expected, some))
     t = (some.starts - some.starts.mean()) * some.dt
     count = len(t)

@@ -1,7 +1,7 @@
-"""What a laboratory should know of a record before anything is inferred from it.
+"""Checks of a record for errors of measurement before inference.
 
 Channels that should be a motion and its derivatives are compared with each other (`records.consistency`); clipped,
-dropped and repeated samples are looked for in each. Nothing is changed: `records.repair` does that when asked.
+dropped and repeated samples are looked for in each. Nothing is changed: `records.repair` does that on request.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from bayeq.records.names import derivative_ratio, in_si, parse_unit
 from bayeq.records.record import Record
 from bayeq.records.repair import counts_rows
 
-# Gains that are mistakes of units, and how near a measured one must come.
+# Gains that mistaken units cause, and the tolerance of a measured gain [ln].
 UNIT_GAINS = (
     (9.80665, "the factor between g and m/s^2"),
     (1000.0, "the factor between milli-units and units"),
@@ -33,11 +33,12 @@ UNIT_GAINS = (
 )
 NEAR = 0.02
 
-# Channels are exchanged where one gain differs from that of the units by more than this, and the other by less [ln].
+# Channels may be exchanged if their gain is off the units by EXCHANGED [ln], and by at most AS_STATED when swapped.
 EXCHANGED, AS_STATED = math.log(2.0), math.log(1.1)
 
-# Clipping: a run of this many equal samples at an extreme, and equal ones nowhere else; or this many in all, this many
-# times those of any next level. A channel of few levels, or at its extreme for most of the time, is switched.
+# Clipping: LEAST_RUN equal samples in a row at an extreme, and either no other level repeats, or the extreme has at
+# least LEAST_CLIPPED samples and TIMES_NEXT times those of each of the NEXT_LEVELS next levels. A channel of fewer than
+# LEAST_LEVELS levels, or at its extreme for a share MOST_AT_REST of the rows, counts as switched.
 LEAST_RUN = 3
 LEAST_CLIPPED = 10
 TIMES_NEXT = 5
@@ -45,34 +46,35 @@ NEXT_LEVELS = 5
 LEAST_LEVELS = 20
 MOST_AT_REST = 0.5
 
-# Dropped samples: steps of time that are multiples of the median within this share. Repeated ones: in this many places,
-# where usual steps are this many levels; a channel that repeats more than this share is held on purpose.
+# Dropped samples: time steps within NEAR_MULTIPLE median steps of a multiple. Repeated samples: at least LEAST_REPEATS
+# places, if half the median change is LEVELS_PER_STEP levels; beyond a share MOST_REPEATED values are held on purpose.
 NEAR_MULTIPLE = 0.1
 LEAST_REPEATS = 3
 LEVELS_PER_STEP = 8.0
 MOST_REPEATED = 0.3
 
-# Straight lines: second differences of this share of the largest, or of as many levels as rounding makes. Bends between
-# them, at even places and unlike: at least this many, in fewer than this share of rows, this many times larger.
+# Interpolation: second differences up to STRAIGHT of the largest, or ROUNDED levels, count as straight. Needed are at
+# least LEAST_BENDS evenly spaced bends, of unequal size and BENT times that limit, in less than MOST_BENT of the rows.
 STRAIGHT, ROUNDED, LEAST_BENDS, MOST_BENT, BENT = 1e-3, 2.01, 20, 0.6, 10.0
 
-# Steps of time [s] from which on they may be milliseconds without a unit, of motion of less rows a period than this.
+# Time without a unit may be in ms if its step is at least this [s], and a period of motion has fewer rows than this.
 LEAST_STEP = 0.5
 MOST_ROWS_A_PERIOD = 200.0
 
-# Rows that come again: this many in a row are no chance.
+# Minimum number of consecutive rows for a repeated stretch.
 LEAST_AGAIN = 20
 
-# Fewer rows tell nothing.
+# Minimum number of rows for the checks of samples.
 LEAST_ROWS_TO_CHECK = 20
 
-# The velocity of a bounded motion changes from end to end by at most its swing, twice that of a velocity without trend.
+# A mean acceleration is an offset if its change of velocity exceeds this many ranges of the velocity without trend; in
+# a bounded motion that change is at most the range of the velocity, twice that without trend.
 MOVED_OFF = 3.0
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """Something about a record that inference would stumble over.
+    """An error of measurement in a record that would disturb inference.
 
     Attributes
     ----------
@@ -84,8 +86,8 @@ class Finding:
     message : str
         A sentence that names channel and number.
     value : float
-        The offset [unit of the channel], drift [unit per s], delay [s], sign (-1), gain, share that fits, level that
-        the channel is clipped at, or number of samples.
+        The offset [unit of the channel], drift [unit per s], delay [s], sign (-1), gain, fit (0 to 1), level of
+        clipping, number of samples, or for ``"clock"`` the rate [Hz] or the time step [s].
     """
 
     kind: str
@@ -102,8 +104,8 @@ def check_record(
     Parameters
     ----------
     record : Record
-        What was measured. Channels with NaN are not looked at; where time is missing or uneven, channels are not
-        compared with each other.
+        The record to check. Channels with NaN are skipped; where time is missing or uneven, channels are not compared
+        with each other.
     chains : sequence of str or of sequences
         A coordinate and its derivatives each: ``"x:v:a"``, or the channels' names with None where a derivative is not
         measured.
@@ -155,11 +157,11 @@ def check_messages(
     stepping: Sequence[str] = (),
     drifting: bool = False,
 ) -> list[str]:
-    """A sentence for each kind of finding about each channel, however many records show it.
+    """One sentence for each kind of finding and channel, even if several records show it.
 
-    Samples are not said to be missing in records that have lost some of the `rows` that they had. Channels that are
-    `stepping`, as an acceleration under an input that is held between samples, are half a sample ahead. Offsets and
-    drifts that are learned, of channels that are `drifting`, are not said.
+    Missing samples are not reported for records with fewer rows than `rows`, their original number. A lead of half a
+    sample is not reported for `stepping` channels, such as an acceleration under an input held between samples. With
+    `drifting`, offsets and drifts are estimated later and not reported.
     """
     found: dict[tuple[str, tuple[str, ...]], list[str]] = {}
     several = len(records) > 1
@@ -172,7 +174,7 @@ def check_messages(
             shifted, message = finding.kind in ("offset", "drift"), finding.message
             if (finding.kind == "dropped" and record.n < n) or (shifted and drifting):
                 continue
-            if shifted and several and record.fs is not None:  # one number would not do for all
+            if shifted and several and record.fs is not None:  # offsets may differ between records
                 band = f"{record.fs / record.n:.1g}:{in_digits(0.5 * record.fs, 3)}"
                 message = f"{message.split(': use')[0]}: --band {band} learns what each record has"
             found.setdefault((finding.kind, finding.channels), []).append(where + message)
@@ -183,7 +185,7 @@ def check_messages(
 
 
 def without_copies(records: Sequence[Record], names: Sequence[str]) -> tuple[list[Record], list[str]]:
-    """Records without those whose channels repeat an earlier one sample by sample, and a sentence on each of these."""
+    """The records without copies (samples of `names` equal to those of an earlier record), and a message per copy."""
     first: dict[tuple[bytes, ...], str] = {}
     kept, messages = list[Record](), list[str]()
     for k, record in enumerate(records, start=1):
@@ -200,7 +202,7 @@ def without_copies(records: Sequence[Record], names: Sequence[str]) -> tuple[lis
 
 
 def _kinematics(record: Record, chain: Sequence[str | None], inputs: Sequence[str]) -> list[Finding]:
-    """Offsets, delays, signs and gains within a chain."""
+    """Findings on exchanged channels, signs, gains, delays, offsets and drifts of a chain."""
     measured = [(order, name) for order, name in enumerate(chain) if name is not None]
     frames = uniform_frames(record.time) if len(measured) > 1 else None
     if frames is None:
@@ -232,7 +234,7 @@ def _kinematics(record: Record, chain: Sequence[str | None], inputs: Sequence[st
 
 
 def _exchanged(record: Record, p: str, q: str, order: int, link: Relation, frames: Frames) -> Iterator[Finding]:
-    """Whether p is the derivative of q, in the units of the other each, where q is not that of p."""
+    """A finding if p fits as the derivative of q, with their units exchanged, and q does not fit as that of p."""
     stated = stated_gain(record, p, q, order) or 1.0
     as_said = link.fit >= RECORDS.least_fit and abs(math.log(link.gain / stated)) < EXCHANGED
     if as_said or counts_rows(record):
@@ -240,7 +242,7 @@ def _exchanged(record: Record, p: str, q: str, order: int, link: Relation, frame
     back = relate(record[q], record[p], order, frames)
     if back is None or back.fit < RECORDS.least_fit or back.sign < 0 or abs(math.log(back.gain / stated)) > AS_STATED:
         return
-    if back.least_gain * link.most_gain < link.least_gain * back.most_gain:  # the gain is less the same
+    if back.least_gain * link.most_gain < link.least_gain * back.most_gain:  # the swapped gain is less certain
         return
     what = f"the {'second ' * (order == 2)}derivative of {q}"
     message = f"{p} is {in_digits(back.gain, 3)} times {what}: are the columns exchanged?"
@@ -248,12 +250,12 @@ def _exchanged(record: Record, p: str, q: str, order: int, link: Relation, frame
 
 
 class _Odd(NamedTuple):
-    """A channel that differs from most of a chain, one of that majority, and the difference."""
+    """A channel that disagrees with the majority of its chain, a reference channel of the majority, the difference."""
 
     k: int
     other: int
     channels: tuple[str, str]
-    against: str  # what the channel should be, said by the other
+    against: str  # what the channel should be, in terms of the reference
     difference: float
 
 
@@ -264,10 +266,11 @@ def _odd_ones(
     least: float,
     highest: bool = False,
 ) -> list[_Odd]:
-    """Channels that differ from most of a chain.
+    """Channels that disagree with the majority of their chain.
 
-    `steps` are the differences from each channel to the next, `errors` what of them may be chance; differences up to
-    `least` do not matter. Without a majority the lowest derivative is believed, or the highest.
+    `steps` are the differences of level (sign, log gain or delay) from each channel to the next, `errors` their
+    uncertainties; differences up to `least` are ignored. Without a majority the lowest derivative is the reference,
+    with `highest` the highest.
     """
     level = np.concatenate([[0.0], np.cumsum(steps)])
     doubt = np.concatenate([[0.0], np.cumsum(errors)])
@@ -289,7 +292,7 @@ def _signs(
 ) -> Iterator[Finding]:
     signs = np.cumprod([1, *(link.sign for link in links)])
     si = [in_si(parse_unit(record.units.get(name, ""))) for name in inputs]
-    by_force = len(inputs) == 1 and not (si[0] and {"m", "s"} <= set(si[0][1]))  # what a base does is no force
+    by_force = len(inputs) == 1 and not (si[0] and {"m", "s"} <= set(si[0][1]))  # base motion is no force
     highest = len(links) == 1 and links[0].sign < 0 and by_force
     if highest:
         (low, p), (high, q) = measured
@@ -301,7 +304,7 @@ def _signs(
 
 
 def _gains(record: Record, measured: Sequence[tuple[int, str]], links: Sequence[Relation]) -> Iterator[Finding]:
-    # what the units say: x in mm makes v in m/s a thousandth of dx/dt
+    # gains implied by the units: with x in mm, v in m/s is a thousandth of dx/dt
     stated = [stated_gain(record, p, q, high - low) or 1.0 for (low, p), (high, q) in pairwise(measured)]
     if counts_rows(record):
         (low, p), (high, q) = measured[:2]
@@ -311,7 +314,7 @@ def _gains(record: Record, measured: Sequence[tuple[int, str]], links: Sequence[
         return
     steps = [math.log(link.gain / expected) for link, expected in zip(links, stated, strict=True)]
     errors = [_undecided(link) for link in links]
-    # what a wrong rate makes of derivatives: the first is a factor of its own, the second the square of that
+    # a wrong sampling rate scales the first derivative by a factor, the second by its square
     per_order = [step / (high - low) for step, ((low, _), (high, _)) in zip(steps, pairwise(measured), strict=True)]
     off, least = float(np.mean(per_order)), max(math.log(RECORDS.least_gain), 2.0 * max(errors))
     if len(steps) > 1 and abs(off) > least and np.ptp(per_order) < NEAR:
@@ -332,12 +335,12 @@ def _gains(record: Record, measured: Sequence[tuple[int, str]], links: Sequence[
 
 
 def _undecided(link: Relation) -> float:
-    """How far ln gain may be off by chance, and by noise, which leaves it between regression one way and the other."""
+    """Uncertainty of ln gain: its sampling error, plus half the range between regressions on p and on q."""
     return RECORDS.significant * link.gain_error + 0.5 * math.log(link.most_gain / link.least_gain)
 
 
 def stated_gain(record: Record, p: str, q: str, order: int) -> float | None:
-    """The gain between a channel and a derivative of another by their units, where they are known."""
+    """The gain of q relative to the derivative of p that their units imply; None if a unit is unknown."""
     units = record.units
     return derivative_ratio(units[p], units[q], order) if p in units and q in units else None
 
@@ -355,7 +358,7 @@ def _delays(measured: Sequence[tuple[int, str]], links: Sequence[Relation], dt: 
 
 
 def _shifts(record: Record, p: str, q: str, order: int, link: Relation, frames: Frames) -> Iterator[Finding]:
-    """Offset and drift against the derivative of the channel below, by the stated gain if it may be, without noise."""
+    """Offset and drift of q against the derivative of p, with the stated gain if the measured one agrees with it."""
     stated = stated_gain(record, p, q, order) or 1.0
     if abs(math.log(link.gain / stated)) <= max(math.log(RECORDS.least_gain), _undecided(link)):
         gain, gain_error = stated, 0.0
@@ -379,7 +382,7 @@ def _shifts(record: Record, p: str, q: str, order: int, link: Relation, frames: 
 
 
 def _moved_off(record: Record, name: str) -> Iterator[Finding]:
-    """A mean of an acceleration that would change the velocity by far more than the rest of it does."""
+    """A finding if the mean of an acceleration changes the velocity by far more than the rest of the signal does."""
     values, step, mean = record[name], record.dt, float(record[name].mean())
     if step is None or record.n < LEAST_ROWS_TO_CHECK:
         return
@@ -415,7 +418,7 @@ def _dropped(record: Record, name: str) -> Iterator[Finding]:
 
 
 def _clock(record: Record, name: str) -> Iterator[Finding]:
-    """Times that say no unit and look like milliseconds: long steps, and a motion of many rows a period."""
+    """A finding if time without a unit may be in ms: long steps, but few rows per period of the motion."""
     step, values = record.dt, record[name]
     if step is None or step < LEAST_STEP or "t" in record.units or not np.isfinite(values).all():
         return
@@ -430,13 +433,13 @@ def _clock(record: Record, name: str) -> Iterator[Finding]:
 
 
 def _again(record: Record, names: Sequence[str]) -> Iterator[Finding]:
-    """The longest stretch of rows whose samples stand earlier in the record already."""
+    """A finding on the longest stretch of rows that repeats earlier rows of the record."""
     if not names or record.n < 2 * LEAST_AGAIN:
         return
     _, first, of_row = np.unique(record[names[0]], return_index=True, return_inverse=True)
     earlier = first[of_row]
     same = np.all([record[name] == record[name][earlier] for name in names], axis=0)
-    # what stands still has rows ever further from the first
+    # in a constant stretch the lag grows from row to row, so that it is no run
     lag = np.where(same, np.arange(record.n) - earlier, 0)
     starts, lengths = equal_runs(lag.astype(np.float64))
     lengths = np.where(lag[starts] > 0, lengths, 0)
@@ -458,19 +461,19 @@ def equal_runs(values: Floats | Bools) -> tuple[NDArray[np.intp], NDArray[np.int
 
 
 class Clipping(NamedTuple):
-    """An extreme that samples stay at."""
+    """An extreme at which a channel is clipped."""
 
     which: str  # greatest or least
     level: float
-    samples: int  # how many are there
-    longest: int  # how many of them in a row at most
+    samples: int  # number of samples at that level
+    longest: int  # most of them in a row
 
 
 def clipped_levels(values: Floats, shut: bool = False) -> list[Clipping]:
-    """Extremes that samples stay at more often than at the next levels; not 0 of what may be `shut`, as a valve."""
+    """Extremes at which a channel is clipped; with `shut`, for an input such as a valve, not at 0."""
     starts, lengths = equal_runs(values)
     at_extremes = np.isin(values[starts], (values.min(), values.max()))
-    if not (lengths[at_extremes] >= LEAST_RUN).any():  # most channels, which need not be sorted
+    if not (lengths[at_extremes] >= LEAST_RUN).any():  # true of most channels, and saves sorting them
         return []
     levels, counts = np.unique(values, return_counts=True)
     if len(levels) < LEAST_LEVELS:
@@ -481,7 +484,7 @@ def clipped_levels(values: Floats, shut: bool = False) -> list[Clipping]:
         ("greatest", values >= levels[-1 - NEXT_LEVELS], counts[-1 - NEXT_LEVELS : -1]),
         ("least", values <= levels[NEXT_LEVELS], counts[1 : 1 + NEXT_LEVELS]),
     ):
-        # a record that begins or ends at its extreme is that of something held, or come to rest
+        # rest at an extreme at the start or the end of a record is not clipping
         moving = np.flatnonzero(~beyond)
         inner = values[moving[0] : moving[-1] + 1]
         level = float(levels[-1] if which == "greatest" else levels[0])
@@ -503,11 +506,11 @@ def _clipped(name: str, values: Floats, shut: bool) -> Iterator[Finding]:
 
 
 def _repeated(name: str, values: Floats, shut: bool) -> Iterator[Finding]:
-    """Samples that repeat the one before in motion; not 0 of what may be `shut`, as a valve."""
+    """A finding if samples repeat the previous one in motion; with `shut`, for an input such as a valve, not zeros."""
     steps = np.abs(np.diff(values))
     if np.count_nonzero(steps == 0.0) > MOST_REPEATED * len(steps) or not steps.any():
         return
-    # a channel of coarse levels stands still at its turning points: its usual steps must be many levels
+    # a coarsely quantised channel repeats values at turning points: its usual steps must be many levels
     level = float(steps[steps > 0.0].min())
     moving = 0.5 * float(np.median(steps))
     if moving < LEVELS_PER_STEP * level:
@@ -516,7 +519,7 @@ def _repeated(name: str, values: Floats, shut: bool) -> Iterator[Finding]:
     inner = (lengths > 1) & (starts > 0) & (starts + lengths < len(values)) & ~(shut & (values[starts] == 0.0))
     starts, lengths = starts[inner], lengths[inner]
     sudden = (steps[starts - 1] > moving) & (steps[starts + lengths - 1] > moving)
-    # in a channel of levels a step of none is by chance as frequent as one of a few levels, up or down
+    # zero steps expected by quantisation alone: the mean count of steps of +k or -k levels, k up to NEXT_LEVELS
     small = (steps > 0.0) & (steps <= (NEXT_LEVELS + 0.5) * level)
     chance = np.count_nonzero(small[1:-1] & (steps[:-2] > moving) & (steps[2:] > moving)) / (2 * NEXT_LEVELS)
     if np.count_nonzero(sudden) < LEAST_REPEATS + chance + 5.0 * math.sqrt(chance):
@@ -530,7 +533,7 @@ def _repeated(name: str, values: Floats, shut: bool) -> Iterator[Finding]:
 
 
 def _interpolated(record: Record, name: str) -> Iterator[Finding]:
-    """A channel that is straight between samples that lie evenly, and bends there unlike a triangle."""
+    """A finding if a channel was interpolated: straight lines between evenly spaced bends of unequal size."""
     values = record[name]
     bends = np.diff(values, 2)
     largest = float(np.abs(bends).max())
@@ -542,7 +545,7 @@ def _interpolated(record: Record, name: str) -> Iterator[Finding]:
     rows = np.flatnonzero(np.abs(bends) > straight)
     if not len(rows) < MOST_BENT * len(bends):
         return
-    # a bend between two samples shows in both
+    # a bend between two rows shows in the second differences of both
     groups = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
     if len(groups) < LEAST_BENDS or max(map(len, groups)) > 2:
         return

@@ -1,4 +1,4 @@
-"""``read`` and ``write``: files to records and back, whole or not at all; ``as_records``: what else holds them."""
+"""``read`` and ``write`` files of records, whole or not at all; ``as_records``: records from other sources too."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ from bayeq.records.formats.nested import read_pieces
 from bayeq.records.record import Record
 from bayeq.records.validate import without_mask
 
-#: Size, and time of change.
+#: Size [bytes] and modification time [ns] of a file.
 FileState = tuple[int, int]
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A path to write to; what is written there takes the place of `path` at the end, if nothing went wrong.
+    """Yield a temporary path to write to; that file replaces `path` at the end, unless an error occurs.
 
-    What is not a regular file (a pipe, a device) is written directly. An OSError names `path`.
+    Anything but a regular file (a pipe, a device) is written directly. An OSError names `path`.
 
     >>> import tempfile
     >>> target = Path(tempfile.mkdtemp()) / "a.txt"
@@ -60,7 +60,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def state_of(path: Path) -> FileState | None:
-    """What changes when somebody writes to a file; None where there is none, or it is a pipe or a device."""
+    """Size and modification time, which change when a file is written; None if it is missing, a pipe or a device."""
     try:
         stat = path.stat()
     except OSError:
@@ -69,9 +69,9 @@ def state_of(path: Path) -> FileState | None:
 
 
 def require_unchanged(path: Path, before: FileState | None) -> None:
-    """Refuse a file that is not what it was, naming it."""
+    """Raise a FileFormatError if the state of a file is no longer `before`."""
     now = state_of(path)
-    if now is not None and now != before:  # one that has gone cannot be read, which is said elsewhere
+    if now is not None and now != before:  # a missing file raises another error
         raise FileFormatError(
             f"{path}: has changed while it was read; start once more, with a copy if it is still being written"
         )
@@ -79,7 +79,7 @@ def require_unchanged(path: Path, before: FileState | None) -> None:
 
 @contextmanager
 def unchanged(path: Path) -> Iterator[None]:
-    """Refuse a file that changes within the block, also where the change is what went wrong there."""
+    """Raise a FileFormatError if a file changes within the block, also in place of an error within it."""
     before = state_of(path)
     try:
         yield
@@ -123,7 +123,7 @@ def read(
 ) -> Record | list[Record]:
     """Read measured channels from a file.
 
-    The content tells the format, or else the suffix: delimited text, MATLAB, HDF5, universal files, TDMS, LabVIEW,
+    The format is recognised by content, or else suffix: delimited text, MATLAB, HDF5, universal files, TDMS, LabVIEW,
     Excel, WAV, Parquet, NumPy; a file with another suffix is read as text if it looks like text. Columns are found
     by their cleaned name (``Time``) or by their header as written (``Time [s]``), arrays of files that hold many of
     them by their path: ``rec.acc.data``, ``Y_id[0]`` (a cell, counted from 0), ``Y_id[0].0`` (a row of a matrix).
@@ -144,21 +144,21 @@ def read(
         white space.
     units : mapping of str to str, optional
         Unit of each column, instead of those in the header; a number in front is a gain by which samples are
-        multiplied: ``{"c1": "10 g"}`` of a channel that was written in units of 10 g, ``"10"`` of one whose unit stays.
+        multiplied: ``{"c1": "10 g"}`` for a channel written in units of 10 g, ``"10"`` to keep its unit.
     group : str, optional
         A column that is constant within a trial: one record for each run of equal values.
     columns : list of str, or str, optional
         Keep these channels only; other columns need not even be numbers.
     channels : mapping of str to str, optional
-        The same with new names: ``{"th": "Y_id[0].0"}`` calls a row of an array th. ``Y_id[*].0`` is one record for
-        each cell.
+        Like `columns`, with new names: ``{"th": "Y_id[0].0"}`` calls a row of an array th. ``Y_id[*].0`` makes one
+        record for each cell.
     skip : int, optional
         Lines at the top of a text file that are passed over, for a preamble that is not recognised.
     sheet : str, optional
         The sheet of an Excel file, by default the one with most rows of numbers; ``"book.xlsx[Run 1]"`` as the path
         names it too.
     rows : slice, optional
-        Rows of each record that are kept, by default all. Of text without `group` a fault below them is no error.
+        Rows of each record to keep, by default all. In text without `group`, faulty lines below them are ignored.
 
     Returns
     -------
@@ -220,7 +220,7 @@ def read(
 
 
 def rows_of(record: Record, rows: slice) -> Record:
-    """Some rows of a record; an InputError where there are none."""
+    """The given rows of a record; an InputError if none are left."""
     if not len(range(record.n)[rows]):
         first, last = ("" if end is None else end for end in (rows.start, rows.stop))
         raise InputError(f"{record.name}: --rows {first}:{last} leaves none of {record.n} rows")
@@ -230,7 +230,7 @@ def rows_of(record: Record, rows: slice) -> Record:
 def _pieces(
     path: Path, request: Request, names: Names, skip: int, sheet: str | None, rows: slice | None
 ) -> list[tuple[Request, Columns]]:
-    """The columns that are asked for; of each array where a path has ``[*]``."""
+    """Pairs of request and columns: one pair, or one for each array that a path with ``[*]`` matches."""
     if path.is_dir():
         raise FileFormatError(f"{path}: is a directory; name a file in it")
     if not path.exists():
@@ -254,12 +254,12 @@ def _pieces(
 
 
 def write(record: Record, path: str | os.PathLike[str]) -> None:
-    """Write a record; the suffix tells the format.
+    """Write a record in the format of the suffix.
 
     Parameters
     ----------
     record : Record
-        What to write. Time becomes the first column, ``t``.
+        The record to write. Time becomes the first column, ``t``.
     path : str or path
         The file, replaced if it is there.
 
@@ -284,7 +284,7 @@ def write(record: Record, path: str | os.PathLike[str]) -> None:
 
 
 def near_files(path: Path) -> str:
-    """The end of a message: names in the same directory that the missing one may have meant, if any."""
+    """The end of an error message: similar names of files in the same directory, if any."""
     try:
         if not path.parent.is_dir():
             return f" (there is no directory {path.parent})"
@@ -301,7 +301,7 @@ def near_files(path: Path) -> str:
 
 
 def as_records(source: Any, t: Any = None) -> list[Record]:
-    """One record or several, of what `as_record` takes or a sequence of such; `t` is one for all."""
+    """A list of records from a source of `as_record` or a sequence of such sources; `t` applies to all."""
     several = isinstance(source, Sequence) and not isinstance(source, (str, bytes)) and not _is_data(source)
     records = [as_record(one, t) for one in (source if several else [source])]
     if not records:
@@ -312,10 +312,10 @@ def as_records(source: Any, t: Any = None) -> list[Record]:
 def as_record(source: Any, t: Any = None) -> Record:
     """A record from a path, a data frame, a mapping of arrays, or an object with `u`, `y` and `sampling_time`.
 
-    Headers of data frames and mappings are read as those of files: ``"x [mm]"`` is the channel x in mm. Of an object
-    with attributes `u` and `y` (several inputs or outputs as columns) the channels are u and y, or u1, u2 and so on;
-    `sampling_time` [s] is its time step. `t` is the column that is time, or sampling times [s], (n,), for arrays. An
-    InputError refuses anything else, and a `t` that does not go with it.
+    Headers of data frames and mappings are read as those of files: ``"x [mm]"`` is the channel x in mm. The channels of
+    an object with attributes `u` and `y` (several inputs or outputs as columns) are u and y, or u1, u2 and so on;
+    `sampling_time` [s] is its time step. `t` names the time column, or holds the sampling times [s], (n,), of arrays.
+    Raises an InputError for other sources, and for a `t` that does not fit the source.
 
     >>> as_record({"t": [0.0, 0.5, 1.0], "x [mm]": [1.0, 2.0, 4.0]})
     Record(3 rows at 2 Hz; x [mm])

@@ -1,4 +1,4 @@
-"""Column headers as people write them: ``clean_name`` for names that terms can use, and units as text.
+"""Column headers: ``clean_name`` makes names that terms can use; parsing and conversion of units.
 
 A channel name appears in terms (``x**2*v``), so that it must be a Python identifier and must not hide a
 function or a constant of the term language. The original header still finds its column.
@@ -36,7 +36,7 @@ _TIME_NAME = re.compile(
     rf"(?:(?:elapsed|relative|rel|absolute|abs|total|test|run|running|sample|date)_)?(?:{'|'.join(_TIME_WORDS)})"
     r"(?:_?stamp)?(?:_(?:in_)?(?P<unit>s|sec|ms|msec|us|µs|μs|ns|min|h))?"
 )
-# Names of times that are units themselves, of columns and of stated units.
+# Words for units of time, as names of time columns or as stated units.
 _UNIT_NAMES: dict[str, str] = {
     **dict.fromkeys(("year", "years", "yr", "yrs", "jahr", "jahre", "annee", "année", "années"), "year"),
     **dict.fromkeys(("anno", "anni", "año", "años"), "year"),
@@ -48,7 +48,7 @@ _UNIT = re.compile(r"^(?P<name>.*?)\s*(?:\[(?P<square>[^\[\]]*)\]|\((?P<round>[^
 
 
 def clean_name(header: str, position: int = 1) -> tuple[str, str | None]:
-    """A column header as a name that terms can use, by its place if it is empty, and the unit in brackets at its end.
+    """A name for terms from a column header (c1, c2 ... by `position` if empty), and the unit in brackets at its end.
 
     >>> clean_name("x [m]"), clean_name("acc-1"), clean_name("Time (s)")
     (('x', 'm'), ('acc_1', None), ('Time', 's'))
@@ -69,7 +69,7 @@ def clean_name(header: str, position: int = 1) -> tuple[str, str | None]:
 
 
 def channel_name(text: str) -> str:
-    """A channel by its name or by its header in the file, such as ``Displ. (m)``.
+    """The name of a channel, given its name or its header in the file, such as ``Displ. (m)``.
 
     >>> channel_name("x"), channel_name("Displ. (m)"), channel_name("")
     ('x', 'Displ', '')
@@ -122,7 +122,7 @@ def is_time_name(name: str) -> bool:
 
 
 def time_unit(name: str) -> str | None:
-    """The unit that a time's name ends in.
+    """The unit at the end of a name of time, or of a name that is a unit of time itself; None without one.
 
     >>> time_unit("time_ms"), time_unit("Zeit"), time_unit("x_ms"), time_unit("Year"), time_unit("Tag")
     ('ms', None, None, 'year', 'd')
@@ -134,7 +134,7 @@ def time_unit(name: str) -> str | None:
 
 
 def rate_and_length(rate: str, length: str, clock: str) -> tuple[str, str]:
-    """A rate and a length of time as text, by the unit of time.
+    """Sampling rate and duration as text with units, given the unit of time `clock`.
 
     >>> rate_and_length("200", "4", "s"), rate_and_length("1", "81", "year")
     (('200 Hz', '4 s'), ('1 per year', '81 years'))
@@ -148,7 +148,7 @@ def rate_and_length(rate: str, length: str, clock: str) -> tuple[str, str]:
 
 
 def unit_of_clock(unit: str) -> str:
-    """A unit of time that is no number of seconds, as it is written.
+    """The usual spelling of a unit of time (year, d, h, min); other text is unchanged.
 
     >>> unit_of_clock("Jahre"), unit_of_clock("month")
     ('year', 'month')
@@ -156,7 +156,7 @@ def unit_of_clock(unit: str) -> str:
     return _UNIT_NAMES.get(unit.casefold(), unit)
 
 
-# Exponents of symbols, in the order in which they occur.
+# A unit: the exponent of each symbol, in the order in which they occur.
 Unit = dict[str, Fraction]
 
 SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
@@ -183,7 +183,7 @@ FORCES: Mapping[str, float] = {
     "lbf": 4.4482216152605, "lbs": 4.4482216152605,
 }  # fmt: skip
 
-# Symbols that measurements are labelled with: these, and those of `SIZES`. Of the first with the usual prefixes.
+# Known symbols of units: _WITH_PREFIXES with each of _PREFIXES, _OTHERS, `SIZES` and `FORCES`.
 _WITH_PREFIXES = "m s N Nm Pa V A W J C T F Hz ohm Ohm Ω rad strain bar"
 _PREFIXES = " n u µ μ m c d k M G"
 _OTHERS = """
@@ -200,8 +200,8 @@ _KNOWN = frozenset(
     }
 )
 
-# Units at the end of a name without brackets: "disp_mm", "vel_mm_s", "acc_mps2", "force_N". A letter alone may be a
-# label, "motor_A", but behind the word of a force or an acceleration.
+# Units at the end of a name without brackets: "disp_mm", "vel_mm_s", "acc_mps2", "force_N". A single letter may be a
+# label ("motor_A"), so that N and g count only after a word for a force or an acceleration.
 _ENDING = re.compile(
     r".*[^\W_].*?[_ ](?:(?P<above>[mcuµμ]?m|m?rad|deg|rev)(?:_?per_?|p|_)s(?:ec)?(?P<squared>_?2|\^2|²|s)?"
     r"|(?P<whole>[mcuµμ]m|k?Nm|kN|[kMh]Pa|m?bar|psi|[mk]V|mA|k?Hz|m?rad|deg|rpm|degC|kg|lbf))"
@@ -209,13 +209,14 @@ _ENDING = re.compile(
     r"|(?:a|acc\w*|beschl\w*)[\w ]*?[_ ](?P<gravity>(?-i:g))",
     re.IGNORECASE,
 )
-# "Weg/mm", "T/K"; what may be another channel, "F/A", is a unit behind a word alone; "m/s" and "N/A" are no channels.
+# "Weg/mm", "T/K". Symbols in _CHANNELS ("F/A" may be a ratio) are units only after a word of three letters or more.
+# Headers that begin with a symbol in _NO_NAMES ("m/s", "N/A") name no channel.
 _DIVIDED = re.compile(r"[^/]*[^\W\d_][^/]*/\s*(\S.*)")
 _CHANNELS, _NO_NAMES = frozenset("AdhlLtTWC"), frozenset({"m", "mm", "cm", "um", "km", "rad", "deg", "n", "N"})
 
 
 def unit_in_name(header: str) -> str | None:
-    """The unit that a header without brackets ends in, as DIN 1313 and habit write it; None where it may be a word.
+    """The unit at the end of a header without brackets, as in DIN 1313 or by habit; None where it is ambiguous.
 
     >>> unit_in_name("disp_mm"), unit_in_name("vel_mm_s"), unit_in_name("Kraft/kN"), unit_in_name("acc_g")
     ('mm', 'mm/s', 'kN', 'g')
@@ -250,7 +251,7 @@ def require_unit(text: str, where: str) -> None:
 
 
 def gain_and_unit(text: str, own: str | None = None) -> tuple[float, str | None]:
-    """A gain other than 0 and the unit behind it; a number alone is the gain of a channel that keeps its `own` unit.
+    """Split ``10 g`` into gain (not 0) and unit; a number alone keeps the `own` unit, a unit alone has the gain 1.
 
     >>> gain_and_unit("10 g"), gain_and_unit("-2.5", "mm"), gain_and_unit("m/s^2"), gain_and_unit("1")
     ((10.0, 'g'), (-2.5, 'mm'), (1.0, 'm/s^2'), (1.0, '1'))
@@ -265,7 +266,7 @@ def gain_and_unit(text: str, own: str | None = None) -> tuple[float, str | None]
 
 
 def conversion(stated: str, wanted: str) -> float | None:
-    """By what numbers in one unit are multiplied to be in another; None where that is not known.
+    """The factor that converts numbers in the unit `stated` to `wanted`; None if it is unknown.
 
     >>> conversion("mm", "m"), conversion("g", "m/s^2"), conversion("kN", "N"), conversion("m", "N")
     (0.001, 9.80665, 1000.0, None)
@@ -275,7 +276,7 @@ def conversion(stated: str, wanted: str) -> float | None:
 
 
 def parse_unit(text: str) -> Unit:
-    """Exponents of a unit's symbols; text that is no product of powers is a symbol itself.
+    """Exponents of a unit's symbols; text that is not a product of powers counts as one symbol.
 
     >>> {symbol: int(power) for symbol, power in parse_unit("m/s²").items()}
     {'m': 1, 's': -2}
@@ -312,7 +313,7 @@ def multiply_units(unit: Unit, other: Unit, power: Fraction | int = 1) -> Unit:
 
 
 def derivative_ratio(below: str, above: str, order: int) -> float | None:
-    """How large a channel is against a derivative of another by their units; None of units that are no such pair.
+    """Gain of a channel in `above` over the `order`-th derivative of one in `below`; None if the units do not match.
 
     >>> derivative_ratio("mm", "m/s", 1), derivative_ratio("m", "m/s^2", 2), derivative_ratio("m", "N", 2)
     (0.001, 1.0, None)
@@ -323,7 +324,7 @@ def derivative_ratio(below: str, above: str, order: int) -> float | None:
 
 
 def in_si(unit: Unit) -> tuple[float, Unit] | None:
-    """Size of a unit in SI units, and those: N, m and s; angles are pure numbers. None where a symbol is not known."""
+    """Factor to SI units, and the unit in N, m and s (angles are dimensionless); None with an unknown symbol."""
     size, out = 1.0, Unit()
     for symbol, power in unit.items():
         if symbol in FORCES:
@@ -339,7 +340,7 @@ def in_si(unit: Unit) -> tuple[float, Unit] | None:
 
 
 def written_unit(unit: Unit) -> str:
-    """A unit as text, ``m/s^2``; ``1`` without symbols above the line."""
+    """A unit as text, ``m/s^2``; the numerator is ``1`` if it has no symbols."""
     above = "*".join(symbol + _power(e) for symbol, e in unit.items() if e > 0)
     return (above or "1") + "".join(f"/{symbol}{_power(-e)}" for symbol, e in unit.items() if e < 0)
 

@@ -1,4 +1,4 @@
-"""``Record``: measured channels of equal length, time and units; ``Truth``: what is known of simulated ones."""
+"""``Record``: measured channels of equal length, time and units; ``Truth``: model and clean signals of a simulation."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def frozen_array(values: Any) -> Floats:
 
 
 def _is_frozen(values: Floats) -> bool:
-    """Whether an array, and whatever owns its samples, is read-only and no larger; what Arrow owns never changes."""
+    """Whether an array and the arrays that own its memory are read-only and of one size; Arrow memory is read-only."""
     owner: Any = values
     while isinstance(owner, np.ndarray):
         if owner.flags.writeable or owner.size != values.size:
@@ -99,7 +99,7 @@ class Truth:
         return replace(self, clean={name: values[rows] for name, values in self.clean.items()})
 
 
-# Channels that a notebook shows.
+# Maximum number of channels that a notebook shows.
 SHOWN = 50
 
 
@@ -120,9 +120,9 @@ class Record:
     name : str, optional
         File name or label, used in messages.
     truth : Truth, optional
-        What is known about a simulated record.
+        Equation and clean signals of a simulated record.
     begins : float, optional
-        What the clock of a file with dates showed at time 0 [s]: `join` tells records by it.
+        Reading of the clock at time 0 [s], for files with dates: `join` aligns records by it.
 
     Raises
     ------
@@ -297,7 +297,7 @@ class Record:
     def dt(self) -> float | None:
         """Median time step [s], or None without time.
 
-        Of an even grid, and of times that were rounded, it is that of a line through them, which rounding touches less.
+        For even sampling it is the mean step, for rounded times the slope of a fitted line: less affected by rounding.
         """
         if self.time is None or self.n < 2:
             return None
@@ -311,14 +311,14 @@ class Record:
 
     @property
     def duration(self) -> float:
-        """How long it lasts [s]: rows over the rate, or at uneven steps from the first to the last; 0 without time."""
+        """Duration [s]: number of rows over the rate, or at uneven steps last minus first time; 0 without time."""
         if self.time is None or self.fs is None:
             return 0.0
         return self.n / self.fs if self.is_uniform() else float(self.time[-1] - self.time[0])
 
     @property
     def clock(self) -> str:
-        """Unit of time: "s", or the stated one where it is no number of seconds, as "year"."""
+        """Unit of time: "s", or the stated unit if it is not converted to seconds, such as "year"."""
         return "s" if "t" in self.channels else unit_of_clock(self.units.get("t", "s"))
 
     def is_uniform(self) -> bool:
@@ -414,7 +414,7 @@ class Record:
         Raises
         ------
         RecordError
-            One of them holds such a sample.
+            A channel holds NaN or infinite samples.
         """
         wanted = self.names if names is None else (names,) if isinstance(names, str) else names
         for name in wanted:
@@ -477,20 +477,20 @@ def _numbers(values: Floats) -> tuple[str, ...]:
     missing = str(len(values) - len(known) or "")
     if not len(known):
         return "", "", "", "", missing
-    with np.errstate(over="ignore"):  # of squares of huge numbers
+    with np.errstate(over="ignore"):  # squares of huge numbers
         numbers = known.min(), known.max(), known.mean(), known.std()
     return (*(f"{value:.4g}" for value in numbers), missing)
 
 
 def with_samples(record: Record, samples: Mapping[str, Any]) -> Record:
-    """The record with other samples of some channels, whose units stay; itself if there are none."""
+    """The record with the `samples` of some channels replaced and their units kept; itself if there are none."""
     if not samples:
         return record
     return record.with_channels(samples, {name: record.units[name] for name in samples if name in record.units})
 
 
 def in_units(record: Record, wanted: Mapping[str, str]) -> tuple[Record, list[str], list[str]]:
-    """The record in other units, where both are known; what was converted, and channels that cannot be."""
+    """The record with channels in the `wanted` units, a note on each conversion, and channels not convertible."""
     stated = {name: record.units[name] for name in wanted if name in record.channels and name in record.units}
     factors = {name: conversion(unit, wanted[name]) for name, unit in stated.items()}
     samples = {name: factor * record[name] for name, factor in factors.items() if factor is not None and factor != 1.0}
@@ -501,7 +501,7 @@ def in_units(record: Record, wanted: Mapping[str, str]) -> tuple[Record, list[st
 
 
 def in_one_unit(records: Sequence[Record], names: Iterable[str]) -> tuple[list[Record], list[str]]:
-    """Records with some channels in the units of the first, as far as both are known; what was converted."""
+    """The records with channels `names` in the units of the first record, and a note on each conversion."""
     out, said, first = list(records[:1]), list[str](), records[0].units
     for k, record in enumerate(records[1:], 2):
         record, notes, _ = in_units(record, {name: first[name] for name in names if name in first})
@@ -511,7 +511,7 @@ def in_one_unit(records: Sequence[Record], names: Iterable[str]) -> tuple[list[R
 
 
 def with_only(record: Record, names: Iterable[str]) -> Record:
-    """These channels of a record, and its time; without what is known of a simulated one."""
+    """The record with only these channels and its time, and without its `truth`."""
     channels = {name: record[name] for name in names}
     units = {name: unit for name, unit in record.units.items() if name in channels or name == "t"}
     return replace(record, channels=channels, units=units, truth=None)

@@ -1,4 +1,4 @@
-"""Records made fit for inference: gaps, rows without time, what may be done about findings, two recorders joined."""
+"""Repair of records: splits at gaps, row numbers as time, correction of delays and offsets, joining of recorders."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from bayeq.errors import InputError, RecordError, in_digits, require_kind
 from bayeq.numerics.settings import RECORDS
 from bayeq.records.record import Record, with_samples
 
-# The least level of this many bands of a spectrum is taken for white noise, which is no power of the signal. In more of
-# them, shorter ones, chance makes the least too low: noise of 20 % of the signal would count as motion.
+# The lowest mean power of this many bands of a spectrum is taken as white noise and subtracted. With more, narrower
+# bands that minimum is biased low: noise of 20 % of the signal would count as motion.
 BANDS = 4
 
-# A gap of more than one sample is a step of time longer than this many usual ones; single samples are always bridged.
+# A gap is a time step longer than this many median steps; a single missing sample is always bridged.
 GAP = 2.5
 
-# Spectra are those of stretches between gaps of this many usual steps, which would be filled with straight lines.
+# Spectra are taken between gaps longer than this many median steps; shorter gaps are interpolated linearly.
 LONG_GAP = 20.0
 
-# Shorter pieces are left out: nothing tells noise from motion in them.
+# Minimum number of rows of a piece: in shorter ones noise and motion cannot be separated.
 SHORTEST_PIECE = 40
 
 #: The unit of time of a record whose time is the number of the row.
@@ -33,11 +33,11 @@ UNKNOWN_TIME = (
     "time is not known: row numbers are used as time, and coefficients are per sample; give --fs or --time (fs=, time=)"
 )
 
-# Rows are in order of time if a sample of some channel says this much of the next one.
+# Rows count as in order of time if the lag-1 autocorrelation of some channel exceeds this.
 IN_ORDER = 0.5
 
-# Samples on either side that interpolation takes in, and its Kaiser window: up to 0.45 of the sampling rate it is exact
-# to 1e-5 (Kaiser 1974).
+# Samples on either side of the interpolation kernel, and beta of its Kaiser window: exact to 1e-5 up to 0.45 of the
+# sampling rate (Kaiser 1974).
 HALF_WIDTH = 32
 KAISER = 10.0
 
@@ -48,8 +48,8 @@ KAISER = 10.0
 def split_at_gaps(records: Sequence[Record], channels: Sequence[str]) -> tuple[list[Record], list[str]]:
     """Records divided at gaps longer than half the shortest period of a channel, and a message for each such record.
 
-    Where the pieces too short to use, of less than 40 rows, would hold more rows than are missing in the gaps, the
-    record stays whole.
+    A record stays whole if the pieces too short to use, of less than 40 rows, hold more rows than the gaps are
+    missing.
     """
     out, messages = [], []
     for record in records:
@@ -77,7 +77,7 @@ def split_at_gaps(records: Sequence[Record], channels: Sequence[str]) -> tuple[l
 
 
 def _ends(record: Record, channels: Sequence[str]) -> tuple[list[int], str]:
-    """Ends of the pieces but the last, and the limit that the gaps exceed, in words."""
+    """End rows of all pieces but the last, and the limit that the gaps exceed, as text."""
     if record.time is None or record.n < 2 * SHORTEST_PIECE:
         return [], ""
     steps = np.diff(record.time)
@@ -98,7 +98,7 @@ def _ends(record: Record, channels: Sequence[str]) -> tuple[list[int], str]:
 
 
 def _shortest_period(times: Sequence[Floats], stretches: Sequence[Floats], step: float) -> float:
-    """Period [s] of the frequency that 99 % of a channel's power lies below, without noise; 0 of short stretches."""
+    """Period [s] of the frequency below which 99 % of a channel's power lies, less noise; 0 for short stretches."""
     known = [np.isfinite(samples) for samples in stretches]
     times = [time[one] for time, one in zip(times, known, strict=True) if one.any()]
     stretches = [samples[one] for samples, one in zip(stretches, known, strict=True) if one.any()]
@@ -128,7 +128,7 @@ def counts_rows(record: Record) -> bool:
 
 
 def with_row_numbers(records: Sequence[Record]) -> list[Record]:
-    """The records with row numbers as time, if none has a time, all are in some order, and no channel is called t."""
+    """The records with row numbers as time, if none has time, all seem to be in order of time, and none has a t."""
     if any(record.time is not None or "t" in record.channels or not _in_order(record) for record in records):
         return list(records)
     return [
@@ -138,7 +138,7 @@ def with_row_numbers(records: Sequence[Record]) -> list[Record]:
 
 
 def _in_order(record: Record) -> bool:
-    """Whether neighbouring samples of a channel are alike, as those of a motion are."""
+    """Whether the lag-1 autocorrelation of a channel exceeds IN_ORDER, as in a sampled motion."""
     for values in record.channels.values():
         known = values[np.isfinite(values)]
         if len(known) < 3:
@@ -169,12 +169,12 @@ def correct_delay(record: Record, channel: str, seconds: float) -> Record:
     channel : str
         The channel that lags behind the others.
     seconds : float
-        Its delay [s], negative if it is ahead; what a ``"delay"`` of `check_record` gives.
+        Its delay [s], negative if it is ahead: the value of a ``"delay"`` finding of `check_record`.
 
     Returns
     -------
     Record
-        Without the rows at one end for which the channel was not measured.
+        The record without the rows at one end for which the shifted channel has no samples.
 
     Raises
     ------
@@ -183,7 +183,7 @@ def correct_delay(record: Record, channel: str, seconds: float) -> Record:
 
     Notes
     -----
-    A windowed sinc of 65 samples, continued oddly about the ends of the record.
+    Interpolation by a windowed sinc of 64 samples; the channel is extended by odd reflection at both ends.
 
     Examples
     --------
@@ -210,7 +210,7 @@ def correct_delay(record: Record, channel: str, seconds: float) -> Record:
 
 
 def _interpolate(values: Floats, rows: Ints, steps: float) -> Floats:
-    """Values at `rows` + `steps`."""
+    """Values interpolated at `rows` + `steps`, where `steps` may be fractional."""
     whole = math.floor(steps)
     part = steps - whole
     if part == 0.0:
@@ -219,7 +219,7 @@ def _interpolate(values: Floats, rows: Ints, steps: float) -> Floats:
     distance = part - offsets
     window = np.i0(KAISER * np.sqrt(np.maximum(1.0 - (distance / HALF_WIDTH) ** 2, 0.0))) / np.i0(KAISER)
     weights = np.sinc(distance) * window
-    weights /= weights.sum()  # constants stay
+    weights /= weights.sum()  # constants are reproduced
     margin = HALF_WIDTH + abs(whole) + 1
     extended = np.pad(values, margin, mode="reflect", reflect_type="odd")
     out = np.zeros(len(rows))
@@ -234,14 +234,14 @@ def remove_offset(record: Record, channel: str, offset: float | None = None, dri
     Parameters
     ----------
     record : Record
-        With time, where there is a drift.
+        The record; it needs time if there is a drift.
     channel : str
         The channel.
     offset : float, optional
-        At the middle of the record, in the unit of the channel; what an ``"offset"`` of `check_record` gives. By
-        default the mean of the channel, as of a laser's stand-off.
+        Offset at the middle of the record, in the unit of the channel: the value of an ``"offset"`` finding of
+        `check_record`. By default the mean of the channel, for example a laser's stand-off.
     drift : float
-        Change per second; what a ``"drift"`` of `check_record` gives.
+        Change per second: the value of a ``"drift"`` finding of `check_record`.
 
     Raises
     ------
@@ -272,17 +272,17 @@ def remove_offset(record: Record, channel: str, offset: float | None = None, dri
 SAME_RATE = 0.01
 #: A channel with more than this share of its variance above half the first record's rate would alias.
 ALIASED = 0.01
-#: Steps of time that are longer than this number of the usual ones are gaps.
+#: A time step longer than this many median steps is a gap.
 APART = 1.5
 
 
 def join(first: Record, *others: Record) -> Record:
     """Join the channels of several records on the time of the first.
 
-    The rows are those of `first` within the span that all records have in common. Channels of the others are read off
-    cubic splines through their samples, which pass through every sample that has the same time; where a sample beside
-    a row is missing, the row is NaN. The clocks are taken to agree: a delay between them stays. Times of files with
-    dates are compared by them.
+    The rows are those of `first` within the span that all records have in common. Channels of the others are
+    interpolated by cubic splines, which reproduce samples at equal times; where a sample next to a row is missing, the
+    row is NaN. Clocks are assumed to agree: a delay between them is not corrected. Records that both have dates are
+    aligned by them.
 
     Parameters
     ----------
@@ -329,7 +329,7 @@ def join(first: Record, *others: Record) -> Record:
 
 
 def _by_clock_of(first: Record, other: Record) -> Record:
-    """A record with the time of another one, where the clocks of both have dates."""
+    """`other` with its time counted from time 0 of `first` if both have dates; unchanged otherwise."""
     time = _time(other)
     if other.begins is None or first.begins is None:
         return other
@@ -349,7 +349,7 @@ def _time(record: Record) -> Floats:
 
 
 def _check_rates(first: Record, other: Record) -> None:
-    """Refuse a record that is slower, and channels of a faster one that would alias."""
+    """Raise a RecordError if `other` is sampled more slowly than `first`, or faster with channels that would alias."""
     slow, fast = first.dt or 1.0, other.dt or 1.0
     if fast > (1 + SAME_RATE) * slow:
         raise RecordError(
@@ -388,7 +388,7 @@ def _finite(record: Record, name: str) -> tuple[Floats, Floats]:
 
 
 def _at(wanted: Floats, other: Record, name: str) -> Floats:
-    """A channel at the times that are wanted; NaN where the samples beside a row are missing."""
+    """A channel interpolated at the times `wanted`; NaN in gaps and outside its span."""
     from scipy.interpolate import CubicSpline
 
     time, values = _finite(other, name)

@@ -1,4 +1,4 @@
-"""Records that are read some rows at a time, because they are larger than memory or spread over files."""
+"""Records that are read in chunks of rows, because they are larger than memory or spread over files."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from bayeq.records.formats.protocol import FileRows, grid
 from bayeq.records.io import FileState, require_unchanged, state_of
 from bayeq.records.record import Record, with_only
 
-#: Files of more bytes together are streamed unasked.
+#: Files of more bytes in total are streamed by default.
 LARGE = 256 * 2**20
 
 
 class Stream(Protocol):
-    """A record that is read some rows at a time."""
+    """A record that is read in chunks of rows."""
 
     @property
     def name(self) -> str: ...
 
     @property
     def bounds(self) -> Sequence[int]:
-        """As of `FileRows`."""
+        """Bounds of the chunks of rows, as `FileRows.bounds`."""
         ...
 
     def of(self, channels: Sequence[str]) -> Stream:
-        """The stream of these channels, and of time."""
+        """The stream with only these channels and time."""
         ...
 
     def read(self, start: int, stop: int) -> Record:
@@ -42,7 +42,7 @@ class Stream(Protocol):
 
 
 def units_between(bounds: Sequence[int], start: int, stop: int) -> list[tuple[int, int]]:
-    """The units of rows `start` to `stop`, the first and the last cut short.
+    """Row ranges of the chunks that overlap `start` to `stop`, clipped to them.
 
     >>> units_between((0, 4, 8, 10), 2, 9)
     [(2, 4), (4, 8), (8, 9)]
@@ -73,13 +73,13 @@ class RecordStream:
 
 @dataclass(frozen=True)
 class FileStream:
-    """The record of a file."""
+    """The record in a file as a stream."""
 
     rows: FileRows
-    request: Request  # the columns that are read: all, where none is named
-    name: str  # of the record
-    units: Mapping[str, str]  # of columns, instead of those in the file
-    state: FileState | None  # that the file has to stay in
+    request: Request  # the columns to read; all if it names none
+    name: str  # name of the record
+    units: Mapping[str, str]  # units by column, instead of those in the file
+    state: FileState | None  # size and modification time when opened; a change is an error
 
     @property
     def bounds(self) -> Sequence[int]:
@@ -92,7 +92,7 @@ class FileStream:
         return replace(self, request=replace(self.request, columns=others, channels=kept))
 
     def read(self, start: int, stop: int) -> Record:
-        """Rows `start` to `stop` as a record; errors are those of `bayeq.read`, and say between which rows."""
+        """Rows `start` to `stop` as a record; errors are those of `bayeq.read`, with the range of rows."""
         request = self.request
         try:
             data = self.rows.read(start, stop, request)
@@ -120,7 +120,7 @@ class FileStream:
 
 
 def files_in(paths: Sequence[str | os.PathLike[str]], known: Collection[str], what: str) -> list[Path]:
-    """Files, and those of each folder with a `known` suffix in order of their numbers, or a FileFormatError."""
+    """The files, and those in folders with a `known` suffix, in numeric order; FileFormatError if a folder has none."""
     out: list[Path] = []
     for one in map(Path, paths):
         if not one.is_dir():
@@ -134,12 +134,12 @@ def files_in(paths: Sequence[str | os.PathLike[str]], known: Collection[str], wh
 
 
 def in_order(path: Path) -> list[tuple[int, int | str]]:
-    """Numbers in a name as numbers: part-2 before part-10."""
+    """Sort key that compares the numbers in a file's name as numbers: part-2 before part-10."""
     return [(0, int(part)) if part.isdigit() else (1, part) for part in re.split(r"(\d+)", path.name) if part]
 
 
 def streamed_unasked(paths: Sequence[str | os.PathLike[str]]) -> bool:
-    """Whether paths are streamed without being asked to: folders, and files of more than 256 MB together."""
+    """Whether paths are streamed by default: folders, and files of more than 256 MiB in total."""
     files = [Path(path) for path in paths]
     try:
         return any(path.is_dir() for path in files) or sum(p.stat().st_size for p in files if p.is_file()) > LARGE
@@ -155,7 +155,7 @@ def open_streams(
     units: Mapping[str, str] | None = None,
     channels: Mapping[str, str] | None = None,
 ) -> list[FileStream]:
-    """Files, and those of folders, as records that are read some rows at a time; options are those of `bayeq.read`."""
+    """Open files, and the files in folders, as streams of chunks of rows; options are those of `bayeq.read`."""
     if any(STAR in path for path in (channels or {}).values()):
         raise InputError(f"a path with {STAR} is several records; name one of them, files are streamed one by one")
     request = Request(None, dict(channels or {}), time, None, fs)

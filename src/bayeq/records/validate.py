@@ -1,4 +1,4 @@
-"""What a record demands: names that terms can use, numbers in one dimension, time in order, and even steps."""
+"""Checks of a record: names that terms can use, numbers in one dimension, increasing time, and even steps."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def as_column(values: Any, what: str, where: str) -> Floats:
 
 
 def without_mask(values: Any) -> NDArray[Any]:
-    """An array, NaN where it is masked; numpy.ma, which takes a while to import, is asked about subclasses alone."""
+    """An array, NaN where masked; numpy.ma, which is slow to import, is only used for subclasses of ndarray."""
     masked = type(values) is not np.ndarray and isinstance(values, np.ndarray) and np.ma.isMaskedArray(values)
     return np.ma.filled(values.astype(float), np.nan) if masked else np.asarray(values)
 
@@ -46,7 +46,7 @@ def as_time(values: Any, where: str) -> Floats:
     return as_column(array, "time", where)
 
 
-#: The inverse of the largest share of rows that may repeat a time.
+#: At most one in this many rows may repeat a time.
 MOST_REPEATED = 10
 
 
@@ -55,8 +55,8 @@ def check_time(
 ) -> NDArray[np.intp]:
     """Raise a RecordError, with the row counted from 1, unless time [s] is finite and strictly increasing.
 
-    At `starts`, the first rows of trials, it may start over; `where` is put in front of the message. With `repeated` up
-    to a tenth of the rows may have the time of the one before: returns which, counted from 0.
+    Time may start over at `starts`, the first rows of trials; `where` is put in front of the message. With `repeated`
+    up to a tenth of the rows may repeat the time of the previous row; returns these rows, counted from 0.
     """
     bad = np.flatnonzero(~np.isfinite(time))
     if bad.size:
@@ -93,18 +93,18 @@ def check_time(
     raise RecordError(message)
 
 
-# Steps that differ by a smaller share are the same: a sample of 6 per period is then wrong by 0.1 % of the amplitude.
+# Time steps within this share of the mean are even: at 6 samples per period the error is 0.1 % of the amplitude.
 EVEN = 1e-3
 
 
 def is_step(time: Floats, step: float, tolerance: float = EVEN) -> Bools:
-    """Which steps of time are `step` to a share `tolerance`, and the rounding of the times, (n - 1,)."""
+    """Mask (n - 1,) of the time steps equal to `step` within a share `tolerance` plus the rounding of the times."""
     rounding = 4.0 * float(np.finfo(np.float64).eps) * float(np.abs(time).max(initial=0.0))
     return np.asarray(np.abs(np.diff(time) - step) <= tolerance * step + rounding)
 
 
 def even_step(*times: Floats) -> float | None:
-    """The step of even sampling, the same in all records; None of uneven steps, or where there is no step.
+    """The mean step if all records are evenly sampled with the same step; None if not, or if there is no step.
 
     >>> even_step(np.array([0.0, 0.1, 0.2])), even_step(np.array([0.0, 0.1, 0.3]))
     (0.1, None)
@@ -112,18 +112,18 @@ def even_step(*times: Floats) -> float | None:
     count = sum(len(time) - 1 for time in times)
     if not count:
         return None
-    # the mean step is less touched by the rounding of the times than any single one
+    # rounding of the times affects the mean step less than a single one
     step = sum(float(time[-1] - time[0]) for time in times) / count
     return step if all(is_step(time, step).all() for time in times) else None
 
 
-# Steps are alike if they differ from the median by less than this share; if of this number of them there are no more
-# values than this, times were rounded.
+# A step is regular if it is within ALIKE of the median. Times count as rounded if most steps are regular and the first
+# LOOKED_AT regular steps take 2 to LEVELS values.
 ALIKE, LOOKED_AT, LEVELS = 0.2, 1000, 3
 
 
 def usual_step(time: Floats) -> float:
-    """The median step of uneven sampling; of times that were rounded the one of the line through them.
+    """The median time step; for rounded times the slope of a line fitted to times over step counts.
 
     >>> round(1 / usual_step(np.round(np.delete(np.arange(300), range(90, 99)) / 30, 3)), 4)
     30.0
@@ -139,7 +139,7 @@ def usual_step(time: Floats) -> float:
     return float(np.polyfit(counts, time, 1)[0])
 
 
-#: How many seconds a unit of time is.
+#: Seconds per unit of time.
 SECONDS: Mapping[str, float] = {
     "s": 1.0, "sec": 1.0, "secs": 1.0, "second": 1.0, "seconds": 1.0,
     "Sec": 1.0, "SEC": 1.0, "Second": 1.0, "Seconds": 1.0, "Sekunde": 1.0, "Sekunden": 1.0,
@@ -151,8 +151,8 @@ SECONDS: Mapping[str, float] = {
 
 
 def other_step(values: Floats, unit: str, fs: float) -> float | None:
-    """The median step [s] of a column that looks like time, where it rises, and not at a rate of fs to 1 %; None also
-    of a clock that is too coarse, which repeats times.
+    """The median step [s] of a possible time column; None if it is not positive, agrees with `fs` to 1 %, or comes from
+    a coarse clock, which repeats times.
 
     >>> ms = np.arange(5.0)
     >>> other_step(ms, "ms", 500.0), other_step(ms, "ms", 1000.0)
@@ -165,19 +165,19 @@ def other_step(values: Floats, unit: str, fs: float) -> float | None:
     return step if step > 0.0 and not coarse and not 0.99 < fs * step < 1.01 else None
 
 
-# A step over midnight is no longer than this many usual ones.
+# Maximum step over midnight, in median steps.
 _MOST_AT_MIDNIGHT = 10.0
 
-# Excel's numbers of the days of 2000 to 2099, and parts of the names of columns that have dates.
+# Excel's day numbers of the years 2000 to 2099, and words in the names of columns with dates.
 _DAYS = (36526.0, 73051.0)
 _DATE_WORDS = ("date", "datum", "stamp", "stempel")
 
 
 def in_seconds(time: Floats, unit: str | None, name: str) -> tuple[Floats, str | None]:
-    """Time in seconds, since the first row where it has dates, and the unit that it has then.
+    """Time and its unit: in seconds ("s") if the unit is known; dates are counted from the first row.
 
-    Numbers of seconds since 1970, of the years 2001 to 2096, and Excel's numbers of days are dates; the latter are in a
-    column of such a name, unless steps are of few decimals, as those of seconds since midnight are.
+    Seconds since 1970 (or ms, us, ns) within the years 2001 to 2096 are dates, and so are Excel's day numbers in a
+    column named like a date, unless the steps have few decimals, as those of seconds since midnight have.
     """
     if len(time) > 1:
         for own, factor in (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
@@ -199,7 +199,7 @@ def in_seconds(time: Floats, unit: str | None, name: str) -> tuple[Floats, str |
 
 
 def _beyond_midnight(time: Floats) -> Floats:
-    """Seconds of the day that go on behind midnight; others as they are."""
+    """Seconds of the day, continued past midnight; other times are unchanged."""
     steps, day = np.diff(time), SECONDS["d"]
     back = steps < 0.0
     if not back.any() or not np.ptp(time) < day:
@@ -211,7 +211,7 @@ def _beyond_midnight(time: Floats) -> Floats:
 
 
 def check_name(name: object, where: str) -> None:
-    """Refuse a channel name that a term cannot use, offering one that it can."""
+    """Raise a RecordError for a channel name that terms cannot use, suggesting one that they can."""
     if not isinstance(name, str):
         raise RecordError(f"{where}: a channel's name must be text, not {name!r}")
     cleaned = clean_name(name)[0]
@@ -220,7 +220,7 @@ def check_name(name: object, where: str) -> None:
 
 
 def checked_units(units: Mapping[str, str], names: Iterable[str], has_time: bool, where: str) -> dict[str, str]:
-    """Units of channels that exist, as text that fits in a header."""
+    """Units, checked to belong to existing channels and to be text that fits in a header."""
     require_mapping(units, f"{where}: units")
     names = list(names)
     known = [*names, "t"] if has_time and "t" not in names else names

@@ -24,7 +24,7 @@ from bayeq.regression.equalities import Equalities, Linear
 from bayeq.states import Chain
 from bayeq.states.derive import LARGEST
 
-# Behind a sum of states among the constraints of an answer.
+# Suffix of a conserved sum of states in an answer's list of constraints.
 CONSERVED = " is conserved"
 
 _RELATIONS = "==|<=|>=|!=|<|>|=|~"
@@ -34,22 +34,22 @@ _BOUND = "an inequality bounds one coefficient by numbers, as in 'v <= 0' or '0 
 
 @dataclass(frozen=True, eq=False)
 class Constraints:
-    """What is known of the coefficients of one equation."""
+    """Known relations between the coefficients of one equation, with limits and prior distributions of these."""
 
     equalities: Equalities  # linear equations between coefficients
     # (P, 2), least and largest value of each coefficient, infinite where there is none; a sign is a limit of 0
     limits: Floats
-    # coefficients that are known about: the term, the mean and the standard deviation of a normal distribution
+    # coefficients with a known normal distribution: term, mean and standard deviation
     stated: tuple[tuple[int, float, float], ...] = ()
 
     @property
     def binding(self) -> bool:
-        """Whether anything is known at all."""
+        """Whether there is a limit or an equality."""
         return bool(np.isfinite(self.limits).any()) or len(self.equalities.eliminated) > 0
 
     @property
     def concerned(self) -> Bools:
-        """Terms that something is known of, (P,)."""
+        """Terms with a limit, an equality or a known distribution, (P,)."""
         out = limited(self.limits)
         out[self.equalities.eliminated] = True
         out[self.equalities.kept[(self.equalities.slopes != 0.0).any(axis=0)]] = True
@@ -58,17 +58,17 @@ class Constraints:
 
     @property
     def forced(self) -> Bools:
-        """Terms that are in wherever they may be, for their limits exclude zero, (P,)."""
+        """Terms that must be in every equation that may have them, because their limits exclude zero, (P,)."""
         return (self.limits[:, 0] > 0.0) | (self.limits[:, 1] < 0.0)
 
     @property
     def bounds(self) -> Floats | None:
-        """`limits` of coefficients of which more than the sign is known, (P, 2), and infinite ones of others."""
+        """`limits` (P, 2) of coefficients of which more than the sign is known, infinite for others; None if none."""
         bounded = (signs_of(self.limits) == 0)[:, None]
         return np.where(bounded, self.limits, [-np.inf, np.inf]) if (bounded & np.isfinite(self.limits)).any() else None
 
     def among(self, allowed: Bools) -> Constraints:
-        """The same with terms that are not `allowed`, (P,), zero, and without what ties these alone."""
+        """The constraints with terms not `allowed`, (P,), set to zero, and without equalities between these alone."""
         if allowed.all():
             return self
         known = self.equalities
@@ -84,7 +84,7 @@ class Constraints:
         return replace(self, equalities=Equalities.solving(names, equations), limits=limits, stated=kept)
 
     def prior(self, prior: Prior, unit: Floats | float = 1.0) -> Prior:
-        """A prior of all terms, with the limits, as one of the F terms that the equalities leave.
+        """The prior of the F terms that the equalities keep, from a prior of all P terms, with the limits as bounds.
 
         A coefficient times `unit`, (F,), is its value in units of the regression. An InputError refuses limits that
         contradict each other or the equalities, or that concern a sum of several coefficients.
@@ -139,7 +139,7 @@ def _said(low: float, high: float) -> str:
 
 
 def _narrow(limits: Floats, j: int, low: float, high: float, names: Sequence[str], where: str) -> None:
-    """Take further limits of a coefficient, with + 0.0 for -0.0."""
+    """Intersect the limits of a coefficient with further ones; + 0.0 turns -0.0 into 0.0."""
     low, high = max(limits[j, 0], low) + 0.0, min(limits[j, 1], high) + 0.0
     if low == high == 0.0:
         raise InputError(
@@ -220,7 +220,7 @@ def _among(
     names: Sequence[str],
     where: str,
 ) -> None:
-    """Refuse what is said of a term in an equation that does not have it among its candidates."""
+    """Raise an InputError for a constraint on a term that is no candidate of the equation `target`."""
     if allowed is None or target is None:
         return
     for j in terms:
@@ -237,8 +237,9 @@ def parse_ties(
 ) -> tuple[tuple[str, tuple[tuple[int, int, float], ...], float], ...]:
     """Read ties between the coefficients of several equations, ``"a1: x1-x2 == 2*(a2: x2-x1)"``.
 
-    Of each the text; equation, term and factor of each coefficient; and what their sum is. An InputError refuses
-    malformed text, or a term that is not a candidate; `dropped` and `allowed` as of `parse_constraints`.
+    Returns for each tie its text; equation, term and factor of each coefficient; and the value of their sum. An
+    InputError refuses malformed text, or a term that is not a candidate; `dropped` and `allowed` as in
+    `parse_constraints`.
     """
     texts, names = [texts] if isinstance(texts, str) else list(texts), [term.text for term in terms]
     reader, out = _Reader(terms, dropped or {}), []
@@ -297,13 +298,13 @@ def _side_of(text: str, where: str) -> tuple[float, str, str]:
 
 def _is_tie(text: str) -> bool:
     """Whether a constraint names two equations."""
-    return isinstance(text, str) and re.sub(r"\{[^{}]*\}", "", text).count(":") > 1  # not those of ranges
+    return isinstance(text, str) and re.sub(r"\{[^{}]*\}", "", text).count(":") > 1  # without colons of ranges
 
 
 def _addressed(text: str, targets: Sequence[str], where: str) -> tuple[str | None, str]:
     """The target in front of the colon, if there is one, and the rest."""
     front, colon, body = text.partition(":")
-    if not colon or "{" in front:  # that of a range
+    if not colon or "{" in front:  # the colon of a range
         return None, text
     bound, relation, target = re.fullmatch(r"(?s)(?:(.*)([<>]=?))?(.*)", front).groups(default="")  # type: ignore[union-attr]
     if target.strip() not in targets:
@@ -312,8 +313,8 @@ def _addressed(text: str, targets: Sequence[str], where: str) -> tuple[str | Non
 
 
 def _sides(text: str, where: str) -> list[tuple[str, str, str]]:
-    """Sides of each relation: of two where a coefficient has two bounds."""
-    # comparisons in brackets are conditions of where
+    """Left side, relation and right side of each relation; two relations where a coefficient has two bounds."""
+    # comparisons in brackets are conditions of the function where
     depth = np.cumsum([(c == "(") - (c == ")") for c in text]) if text else np.zeros(0)
     found = [m for m in re.finditer(_RELATIONS, text) if depth[m.start()] <= 0]
     ends = [0, *(edge for m in found for edge in m.span()), len(text)]
@@ -330,7 +331,7 @@ def _sides(text: str, where: str) -> list[tuple[str, str, str]]:
 
 
 def _stated(left: Linear, right: str, where: str) -> tuple[int, float, float]:
-    """The one term of a side, and the mean and standard deviation that its coefficient was measured with."""
+    """The one term of a side, and the mean and standard deviation that were measured for its coefficient."""
     form = f"{where}: write what is known of a coefficient as 'u ~ 0.1 +- 0.001'"
     parts = [part.strip() for part in re.split(r"\+-|\+/-|±", right)]
     try:
@@ -344,7 +345,7 @@ def _stated(left: Linear, right: str, where: str) -> tuple[int, float, float]:
 
 
 def _bound(difference: Linear, relation: str, where: str) -> tuple[int, float, float]:
-    """The one term of a difference, and what bounds it has."""
+    """The one term of a difference, with its lower and upper bound."""
     if len(difference.slopes) != 1:
         raise InputError(f"{where}: {_BOUND}")
     ((j, slope),) = difference.slopes.items()
@@ -353,14 +354,14 @@ def _bound(difference: Linear, relation: str, where: str) -> tuple[int, float, f
 
 
 class _Reader:
-    """From text to linear combinations of the coefficients of candidate terms."""
+    """Reads text as linear combinations of the coefficients of candidate terms."""
 
     def __init__(self, terms: Sequence[Expression], dropped: Mapping[str, str], kind: str = "candidate term") -> None:
         self.kind = kind
         self.names = [term.text for term in terms]
         self.channels = {name for term in terms for name in term.names}
         self.dropped = list(dropped.items())
-        # candidates as written, and as products whatever their order; those that were left out count down from -1
+        # candidates by their tree as written, and by their factors in any order; those left out count down from -1
         self.trees: dict[Node, int] = {}
         self.products: dict[frozenset[tuple[Node, float]], int] = {}
         for j, term in enumerate(terms):
@@ -380,7 +381,7 @@ class _Reader:
         except ExpressionError as error:
             raise ExpressionError(f"{where}: {error}") from error
         out = self._linear(tree, where)
-        if not all(abs(number) <= LARGEST for number in (out.constant, *out.slopes.values())):  # not so of NaN
+        if not all(abs(number) <= LARGEST for number in (out.constant, *out.slopes.values())):  # false for NaN
             raise InputError(f"{where}: a number is not finite, or beyond {LARGEST:g}; give channels in larger units")
         return out
 

@@ -3,12 +3,12 @@
 Terms that cannot be used are left out here, each with its reason: not finite on the data, constant, or a copy of an
 earlier column.
 
-Of a dictionary too large to compare all models of, the simplest candidates are kept, and those that explain most.
+In a dictionary too large to compare all models, the simplest candidates are kept, and those that explain most.
 Iterative sure independence screening (Fan and Lv 2008): the columns that correlate most with the target are taken, then
-those that correlate most with what these leave, both less what was taken before, and so on. A term that matters beside
-others and not alone comes in a later round. Where terms are nearly the same on the record, as the monomials of
-``(x2-x1)**3`` are, correlations do not tell which of them is true: half of the places go to the simplest terms whatever
-they explain.
+those that correlate most with its residual, after regression of both on the columns taken before, and so on. A term
+that matters together with others and not alone comes in a later round. Where terms are nearly the same on the record,
+as the monomials of ``(x2-x1)**3`` are, correlations do not show which of them is true: half of the places go to the
+simplest terms whatever they explain.
 """
 
 from __future__ import annotations
@@ -49,16 +49,16 @@ USUAL = 1e10
 CONSTANT_SPREAD = 1e-13
 COPY_CORRELATION = 1.0 - 1e-13
 
-# Rows that candidates are judged by, at most, spread over the records.
+# Largest number of rows by which candidates are screened, spread over the records.
 ROWS = 4000
 
-# A column of which what was taken leaves no more than this share of the square is a combination of it.
+# A column is a combination of the columns taken before if regression on these leaves at most this share of its square.
 NEARLY_NOTHING = 1e-8
 
 # Rounds in which each equation takes its share.
 ROUNDS = 20
 
-# Why a term is left out that another one is the same as.
+# Reason for leaving out a term that equals another one on the data.
 COPY = "a copy of {} on the data"
 
 
@@ -72,7 +72,7 @@ class DroppedTerm:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Design:
-    """A dictionary on the rows of some motion."""
+    """A dictionary evaluated on the rows of a motion."""
 
     motion: Motion  # the rows
     terms: tuple[Expression, ...]  # the P candidates that can be used
@@ -85,8 +85,8 @@ class Design:
     kept: tuple[Floats, ...]
     # (C, P), candidates of each equation; the others are in the dictionaries of other equations only
     allowed: Bools = field(default_factory=lambda: np.ones((1, 1), dtype=np.bool_))
-    # where the motion is of some rows only: takes the number of an equation, a posterior and what was found of its
-    # residuals in these rows, and says what those of all rows are
+    # where the motion has only some of the rows: a function of the number of an equation, a posterior and the
+    # diagnostics of its residuals in these rows, which returns the diagnostics in all rows
     scan: Callable[[int, Posterior, Residuals], Residuals] | None = None
 
     def __post_init__(self) -> None:
@@ -123,8 +123,8 @@ def build_design(
 def usable_terms(design: Design, bad: Ints, rows: int) -> Design:
     """A dictionary without the candidates that cannot be used.
 
-    `bad`, (P,), is the number of rows, of some in all, in which each is not finite, or too large to square. An
-    InputError says that no candidate can be used, or that one cannot because of the unit of a channel.
+    `bad`, (P,), is the number of rows, of `rows` in all, in which each candidate is not finite, or too large to square.
+    An InputError says that no candidate can be used, or that one cannot because of the unit of a channel.
     """
     terms, train, allowed = design.terms, design.train, design.allowed
     reasons = _reasons(train[0], bad, rows, allowed)
@@ -197,7 +197,7 @@ def _unwritable(grams: Sequence[Gram]) -> Bools:
 
 
 def _require_units(terms: Sequence[Expression], motion: Motion) -> None:
-    """Raise where one of some terms that are out of range is so because of the unit of a channel."""
+    """Raise an InputError if the unit of a channel is the reason why one of these terms is out of range."""
     for term in terms:
         for name in sorted(term.names):
             columns = [rows.columns[name] for rows in motion.records if name in rows.columns]
@@ -210,7 +210,7 @@ def _require_units(terms: Sequence[Expression], motion: Motion) -> None:
 
 
 def _reasons(gram: Gram, bad: Ints, rows: int, allowed: Bools) -> dict[int, str]:
-    """Why each unusable column is left out; a copy is, if every equation that it is for may have the other."""
+    """Reasons for leaving out unusable columns; a copy is left out if all of its equations may have the original."""
     sd = gram.standard_deviation
     out: dict[int, str] = {}
     for j in range(len(sd)):
@@ -228,10 +228,10 @@ def _reasons(gram: Gram, bad: Ints, rows: int, allowed: Bools) -> dict[int, str]
 
 
 def screened(terms: Sequence[Expression], motion: Motion, allowed: Bools, forced: Bools, most: int) -> NDArray[np.intp]:
-    """Numbers (K,) of the candidates to keep, in order.
+    """Indices (K,) of the candidates to keep, in order.
 
-    Candidates of each equation are `allowed`, (C, P); those that are `forced`, (P,), are kept whatever they explain. Of
-    `most` to keep each equation has an equal share.
+    Candidates of each equation are `allowed`, (C, P); those that are `forced`, (P,), are kept whatever they explain.
+    Each equation has an equal share of the places among `most`.
     """
     D, Y = _rows(terms, motion)
     kept = forced.copy()
@@ -245,7 +245,7 @@ def screened(terms: Sequence[Expression], motion: Motion, allowed: Bools, forced
 
 
 def explaining(D: Floats, y: Floats, free: Bools, basis: Floats, share: int) -> NDArray[np.intp]:
-    """Numbers of the columns that explain most of what a basis (n, q) leaves of y: a share of the `free`, in rounds."""
+    """Indices of at most `share` of the `free` columns, those that explain most of y's residual on a basis (n, q)."""
     taken = np.zeros(0, dtype=np.intp)
     free, added, left = free.copy(), basis, y
     rest = np.ones(D.shape[1])  # squared length of what the basis leaves of each column

@@ -18,7 +18,7 @@ from bayeq.errors import InputError
 from bayeq.inference.gram import Gram
 from bayeq.inference.posterior import Averaged, Draws, ModelAverage, Posterior
 
-# A difference smaller than this share of what it is the difference of is rounding.
+# A difference smaller than this share of its operands is rounding, and taken as 0.
 ROUNDING = 1e-12
 
 
@@ -35,18 +35,18 @@ class Linear:
     constant: float
 
     def plus(self, other: Linear, factor: float = 1.0) -> Linear:
-        """The sum of this and a multiple of another; what cancels but for rounding is gone."""
+        """The sum of this combination and a multiple of another; terms that cancel up to rounding are dropped."""
         slopes = dict(self.slopes)
         for j, slope in other.slopes.items():
             slopes[j] = _sum(slopes.get(j, 0.0), factor * slope)
         return Linear({j: s for j, s in slopes.items() if s != 0.0}, _sum(self.constant, factor * other.constant))
 
     def times(self, factor: float) -> Linear:
-        """A multiple."""
+        """This combination times a factor."""
         return Linear({}, 0.0).plus(self, factor)
 
     def without(self, j: int, value: Linear) -> Linear:
-        """The combination with coefficient j replaced by what it equals."""
+        """The combination with coefficient j replaced by `value`, the combination that it equals."""
         if j not in self.slopes:
             return self
         rest = {i: slope for i, slope in self.slopes.items() if i != j}
@@ -65,23 +65,23 @@ class Equalities:
     """
 
     names: tuple[str, ...]  # the P terms
-    kept: NDArray[np.intp]  # (F,), terms that inference is left with
-    eliminated: NDArray[np.intp]  # (E,), those that follow from them
+    kept: NDArray[np.intp]  # (F,), terms that remain for inference
+    eliminated: NDArray[np.intp]  # (E,), terms whose coefficients follow from those of the kept ones
     slopes: Floats  # (E, F), C
     offsets: Floats  # (E,), q
 
     def basis(self, support: Bools) -> Floats:
-        """How the r coefficients of some terms, `support` (P,), move with the free ones among them, (r, f)."""
+        """Derivatives (r, f) of the coefficients of terms, `support` (P,), with respect to the kept ones among them."""
         return self._jacobian(support, support[self.kept])
 
     def offset(self, support: Bools) -> Floats:
-        """What the r coefficients of some terms are where the free ones among them are 0, (r,)."""
+        """Coefficients (r,) of terms, `support` (P,), if those of the kept ones among them are 0."""
         whole = np.zeros(len(self.names))
         whole[self.eliminated] = self.offsets
         return whole[support]
 
     def closed(self, support: Bools) -> bool:
-        """Whether some terms (P,) hold all that follow from them, and no others."""
+        """Whether the eliminated terms in `support` (P,) are exactly those that follow from the kept terms in it."""
         return bool((self._any(support[self.kept]) == support).all())
 
     @classmethod
@@ -114,7 +114,7 @@ class Equalities:
         return cls(tuple(names), kept, eliminated, slopes[:, kept], offsets)
 
     def reduce(self, gram: Gram) -> Gram:
-        """Statistics of y - D_e q on D_k + D_e C; columns that cancel but for rounding are columns of zeros."""
+        """Statistics of y - D_e q on D_k + D_e C; columns that cancel up to rounding become zeros."""
         if not len(self.eliminated):
             return gram
         k, e, C, q = self.kept, self.eliminated, self.slopes, self.offsets
@@ -168,7 +168,7 @@ class Equalities:
         )
 
     def _full(self, kept: NDArray[Any], eliminated: NDArray[Any]) -> NDArray[Any]:
-        """Kept and eliminated ones (along the last axis) in their places."""
+        """Values of kept and of eliminated terms (along the last axis) in the order of all P terms."""
         out = np.empty((*kept.shape[:-1], len(self.names)), dtype=kept.dtype)
         out[..., self.kept], out[..., self.eliminated] = kept, eliminated
         return out
@@ -177,7 +177,7 @@ class Equalities:
         return self._full(theta, theta @ self.slopes.T + self.offsets)
 
     def _any(self, inside: Bools) -> Bools:
-        """Which of all terms are in, by which of the kept ones are."""
+        """Which of all P terms are in, given which of the kept terms are, `inside` (..., F)."""
         linked = (self.slopes != 0.0).T.astype(np.float64)
         return self._full(inside, (inside @ linked > 0.5) | (self.offsets != 0.0))
 
@@ -205,7 +205,7 @@ class Equalities:
             C = self.slopes[:, average.terms]
             found = np.sqrt(np.maximum(np.einsum("ei,ij,ej->e", C, average.covariance, C), 0.0))
         else:
-            # without covariances the most that it can be, which is exact where it follows from one term
+            # without covariances an upper bound, which is exact for a term that follows from one other term
             found = np.abs(self.slopes) @ sd
         return self._full(sd, found)
 

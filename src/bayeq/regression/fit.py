@@ -39,14 +39,14 @@ from bayeq.regression.design import Design
 from bayeq.regression.regression import RecordRegression, Regression, calibrated
 from bayeq.states import Sensors
 
-# The record contradicts what is stated of a coefficient if it moves it by more of the stated standard deviations, and
-# a bound if the coefficient would be further beyond without it, in its own ones.
+# The record contradicts a stated coefficient if its own estimate is further off than this many joint standard
+# deviations, and a bound if the estimate without it is beyond by this many of its own.
 CONTRADICTED = 3.0
 
 
 @dataclass(frozen=True, eq=False)
 class RegressionFit:
-    """A regression and what an engine found."""
+    """A regression and its posterior by an engine."""
 
     regression: Regression  # rows, in original units
     constraints: Constraints  # what is known of the coefficients
@@ -57,12 +57,12 @@ class RegressionFit:
 
     @cached_property
     def problem(self) -> Problem:
-        """What models are compared on."""
+        """The Gram and the prior by which models are compared."""
         return Problem.of(self.standard.gram, self.prior)
 
     @cached_property
     def rows(self) -> Gram:
-        """Statistics of the training rows, equalities taken out: what shares of variance refer to."""
+        """Statistics of the training rows, equalities taken out; shares of variance refer to these."""
         return self.constraints.equalities.reduce(self.regression.rows)
 
     def given(self, model: Bools) -> Posterior:
@@ -70,7 +70,7 @@ class RegressionFit:
         return self.posterior if bool((model == self.posterior.support).all()) else self.conditional(model)
 
     def conditional(self, model: Bools) -> Posterior:
-        """As `given`, of the included terms too by `standard`."""
+        """Like `given`, but computed from `standard` for the included terms too."""
         coef, covariance = exact_posterior(self.problem, model, self.prior.limits)
         noise = noise_given_model(self.problem, model)
         return replace(self.posterior, support=model, coef=coef, covariance=covariance, noise_variance=noise)
@@ -96,8 +96,8 @@ class RegressionFit:
         """Terms beyond bounds by more than CONTRADICTED standard deviations without these: bound, coefficient, and by
         how many.
 
-        Coefficients are those beside the included terms, or, of a bound that is contradicted, beside the likeliest
-        model.
+        A coefficient is estimated together with the included terms and, if its bound is contradicted, also with those
+        of the likeliest model.
         """
         bounds, kept, names = self.constraints.bounds, self.constraints.equalities.kept, self.standard.gram.names
         found: dict[str, tuple[float, float, float]] = {}
@@ -120,7 +120,7 @@ class RegressionFit:
         limits = self.prior.limits
         if limits is None:
             return False
-        # brings scipy.special, which takes a while to import
+        # imports scipy.special, which takes a while
         from bayeq.inference.signs import Truncation
 
         return bool(Truncation(self.problem, limits, model[None, :]).needed.any())
@@ -139,7 +139,7 @@ def fit_regression(
 
     Equalities are taken out before inference; signs and bounds go into the prior. That is on standardised columns, the
     target in units of the least-squares residual; by default p_0 = 0.1 and a slab variance v_s that maximises the
-    evidence. The likelihood is raised to the power `coarsen`; the terms may lack something of size `tolerance`.
+    evidence. The likelihood is raised to the power `coarsen`; the law may lack a function of size `tolerance`.
     """
     regression = regression.raised(coarsen)
     reduced = constraints.equalities.reduce(regression.gram)
@@ -153,16 +153,16 @@ def fit_regression(
     return RegressionFit(regression, constraints, standard, used, engine.run(standard.gram, used, **options))
 
 
-# The likeliest models, at most: one takes some 0.05 ms.
+# Largest number of models in a mixture, the likeliest: one takes some 0.05 ms.
 MOST_MODELS = 300
 
 
 def mixture_of(fit: RegressionFit, reported: Posterior, struck: Bools | None = None) -> Mixture | None:
-    """The P coefficients over models, in original units, and after them the intercept, which is in all models.
+    """Posterior over models of the P coefficients, in original units, then of the intercept, which is in all models.
 
-    Those of `reported` differ in other models by the same factor and change. Terms `struck`, (F,), are taken out of
-    every model, the others estimated again. None where no models are averaged, or listed that terms are to be taken
-    from.
+    The change from the posterior of a model to the one `reported` is applied to all models alike (`_moved`). Terms
+    `struck`, (F,), are taken out of every model, the others estimated again. None if models are not averaged, or if
+    terms are to be taken out and no models are listed.
     """
     posterior, average, draws = fit.posterior, fit.posterior.average, fit.posterior.draws
     again = struck is not None and bool(struck.any())
@@ -198,7 +198,7 @@ def mixture_of(fit: RegressionFit, reported: Posterior, struck: Bools | None = N
 
 
 def _given_models(fit: RegressionFit, models: Bools, reported: Posterior) -> tuple[Bools, Floats, Floats]:
-    """Of each term, then the intercept, in each model: whether it is in, mean and standard deviation, (P + 1, K)."""
+    """For each term, then the intercept, and each model: whether it is in, mean and standard deviation, (P + 1, K)."""
     (factor, change), own = _moved(fit, reported), _mean_variance(reported)
     few = replace(fit.posterior, averaged=None, average=None)
     shape = len(reported.names) + 1, len(models)
@@ -215,13 +215,13 @@ def _given_models(fit: RegressionFit, models: Bools, reported: Posterior) -> tup
 
 
 def _mean_variance(reported: Posterior) -> float:
-    """Variance of the intercept were the coefficients known: that of the target's mean."""
+    """Variance that the intercept would have with known coefficients: that of the target's mean."""
     center = reported.constant.center[reported.support]
     return max(reported.intercept_sd**2 - float(center @ reported.covariance @ center), 0.0)
 
 
 def _moved(fit: RegressionFit, reported: Posterior) -> tuple[Floats, Floats]:
-    """What a model as it is reported differs by from its posterior: factors of deviations, changes of means."""
+    """Differences (P,) of a model as reported from its posterior: factors of standard deviations, changes of means."""
     factor, change = np.ones(len(reported.names)), np.zeros(len(reported.names))
     if reported.projected is not None and reported.support.any():
         exact = fit.expanded(fit.conditional(reported.support[fit.constraints.equalities.kept]))
@@ -246,7 +246,7 @@ EXACTLY = 1e-6
 # Methods that average over the models of all equations together.
 JOINT = ("auto", "bma")
 
-# Log odds of the constant otherwise: those of a term, p_0 = 0.1.
+# Log odds of the constant, those of a term with p_0 = 0.1, except in polynomials with the default prior.
 CONSTANT = math.log(0.1 / 0.9)
 
 
@@ -271,7 +271,7 @@ def record_of(
     known = {one.parts[0][:2] for one in stated}
     stated += [Stated(((c, j, 1.0),), 1.0, EXACTLY) for c, j in _ones(design) if (c, j) not in known]
     log_odds = _log_odds(design, dictionary, prior)
-    for own, odds in zip(constraints, log_odds, strict=False):  # of none there may be no constraints
+    for own, odds in zip(constraints, log_odds, strict=False):  # there may be no constraints
         odds[:-1][own.forced & (odds[:-1] > -np.inf)] = np.inf
     starts = [(one.motion, one.terms, one.train) for one in others]
     stated += ties
@@ -296,13 +296,13 @@ def sensors_of_design(design: Design, dictionary: Specification, prior: Prior | 
 
 
 def _log_odds(design: Design, dictionary: Specification, prior: Prior | None) -> Floats:
-    """Of every candidate of each equation, and of the constant, not being zero, (C, P + 1)."""
+    """Prior log odds, (C, P + 1), that each candidate of each equation, and the constant, is not zero."""
     roles = design.motion.roles
     given = of_equations(dictionary, roles.sought)
     own = [_of_dictionary(design, dictionary if given is None else given[t], prior) for t in roles.sought]
     out = np.array([*own, *(np.full(len(design.terms) + 1, -np.inf) for _ in roles.chains[len(own) :])])
     out[:, :-1][~design.allowed] = -np.inf
-    out[[chain.hidden for chain in roles.chains], -1] = -np.inf  # another zero of the state says the same
+    out[[chain.hidden for chain in roles.chains], -1] = -np.inf  # a shift of the state's origin is equivalent
     for c, j in _ones(design):
         out[c, j] = np.inf
     return out
@@ -322,7 +322,7 @@ def _ones(design: Design) -> list[tuple[int, int]]:
 
 
 def _of_dictionary(design: Design, dictionary: Specification, prior: Prior | None) -> Floats:
-    """The same, (P + 1,), of one equation."""
+    """Prior log odds, (P + 1,), of the candidates of one equation and of its constant."""
     terms, inputs = design.terms, design.motion.roles.inputs
     if prior is None and isinstance(dictionary, str) and dictionary.partition(":")[0] == "polynomial":
         degrees = [1 if term.text in inputs else degree(term) for term in terms]
@@ -339,7 +339,7 @@ def fit_equations(
     tolerance: float | None = None,
     seed: int | tuple[int, ...] = 0,
 ) -> list[RegressionFit]:
-    """The posterior of every equation, of all together where the method allows it, otherwise by `fit_regression`."""
+    """The posterior of every equation: all jointly where method and constraints allow it, otherwise one by one."""
     record = regressions[0].record if isinstance(regressions[0], RecordRegression) else None
     free = prior is None and coarsen == 1.0 and not any(one.binding for one in constraints)
     if record is not None and method in JOINT and free:
@@ -359,7 +359,7 @@ def fit_equations(
 
 
 def refitted(fits: Sequence[RegressionFit], models: Sequence[Bools]) -> list[RegressionFit] | None:
-    """The same posteriors with the likelihood about other models, (P,) bool each; None where rows count."""
+    """The posteriors with the likelihood expanded about other models, (P,) bool each; None with rows or equalities."""
     first = fits[0].regression
     if not isinstance(first, RecordRegression) or any(len(one.constraints.equalities.eliminated) for one in fits):
         return None
@@ -394,14 +394,14 @@ def _by_engine(
 
 
 def _judged(posterior: Posterior, record: RecordFit, k: int) -> Posterior:
-    """A posterior of equation k with what the likelihood says of the constant."""
+    """A posterior of equation k with the probability and the estimate of its constant by the likelihood."""
     pip = float(record.posterior.pip[record.block(k).stop - 1])
     constant = replace(posterior.constant, pip=pip, left_out=record.left_out_intercept(k))
     return replace(posterior, constant=constant)
 
 
 def _equation(regression: Regression, record: RecordFit, constraints: Constraints, method: str) -> RegressionFit:
-    """The posterior of one equation from that of all; variational Bayes adds a lower bound to "auto"."""
+    """The posterior of one equation from the joint one of all; for "auto" with the ELBO of variational Bayes."""
     k, joint = regression.k, record.posterior
     block = np.arange(record.block(k).start, record.block(k).stop)
     terms = block[:-1]
@@ -433,7 +433,7 @@ def _equation(regression: Regression, record: RecordFit, constraints: Constraint
 
 
 def _marginal(joint: ModelAverage, terms: np.ndarray[tuple[int], np.dtype[np.intp]]) -> ModelAverage:
-    """The models of one equation, whatever those of the others."""
+    """The models of one equation, with probabilities summed over the models of the others."""
     models, which = np.unique(joint.models[:, terms], axis=0, return_inverse=True)
     probability: Floats = np.bincount(which.ravel(), weights=joint.probability).astype(np.float64)
     order = np.argsort(-probability, kind="stable")

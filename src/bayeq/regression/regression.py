@@ -1,6 +1,6 @@
-"""`Regression`: one equation's rows, from which its Gram, residuals and fits come; rows as measured count as data.
+"""`Regression`: the regression of one equation on its rows, with its Gram, residuals and fits; rows count as data.
 
-`RecordRegression` is what the likelihood of the records makes of them.
+`RecordRegression` is the regression of one equation by the likelihood of the records.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ from bayeq.states.sensors import scaled_with
 # Residuals smaller than this share of the target are rounding of the Gram, and correlated.
 ROUNDING = 1e-6
 
-# Noise is seen where the highest parts of the spectrum, of BANDS, have less than a share of the strongest, if records
-# are longer than this.
+# The noise of a channel is visible if each of the HIGHEST bands, of BANDS of its spectrum, has less than a share FLOOR
+# of the power of the strongest; records of LEAST_ROWS rows or fewer are left out.
 BANDS, HIGHEST, FLOOR, LEAST_ROWS = 40, 6, 0.1, 400
 
 
@@ -49,7 +49,7 @@ class Regression:
     # estimated both sides went through the smoother.
     rows: Gram
     held_out: Gram | None
-    gram: Gram  # what counts as data
+    gram: Gram  # statistics that count as data
 
     # Whether rows count as data: the likelihood of the records counts samples.
     counts_rows: ClassVar[bool] = True
@@ -79,18 +79,18 @@ class Regression:
 
     @property
     def tau(self) -> float:
-        """Most probable size of what a law lacks that is nearly true, as a share of the target's standard deviation."""
+        """Most probable size of the function that a nearly true law lacks, as a share of the target's deviation."""
         return 0.0
 
     @property
     def factors(self) -> tuple[tuple[str, ...], Floats]:
-        """Channels whose factors may be off, and the covariance of these: of rows as it was given."""
+        """Channels with uncertain calibration factors, and the covariance of these factors, for rows as given."""
         known = {name: sd for name, sd in self.motion.sensors.gain_sd.items() if sd}
         return tuple(known), np.diag(np.square(list(known.values())))
 
     @property
     def suspect(self) -> Suspect | None:
-        """A channel that others contradict, or that was filtered; None of rows."""
+        """A channel that others contradict, or that was filtered; None for rows."""
         return None
 
     @property
@@ -100,44 +100,47 @@ class Regression:
 
     @property
     def forms(self) -> Forms:
-        """Log posteriors of the members of every either-or, found by the same."""
+        """Log posteriors of the members of every either-or, which the likelihood of the records finds."""
         return {}
 
     @property
     def discrepancy(self) -> float | None:
-        """Standard deviation of the discrepancy as a share of the target's; None of rows."""
+        """Standard deviation of the discrepancy as a share of the target's; None for rows."""
         return None
 
     @property
     def through_motion(self) -> bool:
-        """Whether data tell of the target by the motion alone that it leads to."""
+        """Whether the target is not measured, so that the likelihood knows it only by the motion that it leads to."""
         return False
 
     def tests(self) -> tuple[Discrepancy | None, Octave | None, Change | None]:
-        """A discrepancy that is needed, innovations that are not white, a coefficient that changes; none of rows."""
+        """A discrepancy that is needed, innovations that are not white, a coefficient that changes; None for rows."""
         return None, None, None
 
     @property
     def shape(self) -> Shape | None:
-        """The shape of what is left of the channels of the chain; None of rows."""
+        """The shape of the innovations of the chain's least normal channel; None for rows."""
         return None
 
     def hides_noise(self, name: str) -> bool:
-        """Whether the record does not tell the noise of an input; of rows its highest frequencies do."""
+        """Whether the noise of an input is not known from the record, here from the input's highest frequencies."""
         return not shows_noise([rows.columns[name] for rows in self.motion.train])
 
     def reported(self, found: Posterior, basis: Floats, limits: Floats | None, free: bool) -> Posterior:
-        """A posterior in original units as it is reported: with free coefficients by `basis`, within limits, (P, 2)."""
+        """A posterior in original units as it is reported, here unchanged.
+
+        `basis`, (r, f): derivatives of its coefficients by the free ones; `free`: `limits`, (P, 2), do not change it.
+        """
         return found
 
     def thinned(self) -> Regression:
-        """The regression with rows that count for the effective sample size, where their residuals are correlated."""
+        """The regression with rows weighted to the effective sample size, where their residuals are correlated."""
         if len(self.design.terms) > REGRESSION.most_terms_to_thin:
             return self
         return replace(self, gram=thinned_gram(self.gram, self._all_residuals))
 
     def _all_residuals(self, posterior: Posterior) -> Residuals:
-        """Correlation of the residuals of all training rows, also where the motion is of some of them only."""
+        """Diagnostics of the residuals of all training rows, also where the motion has only some of them."""
         found, scan = self.residuals(posterior), self.design.scan
         return found if scan is None or not found.correlated else scan(self.k, posterior, found)
 
@@ -146,11 +149,11 @@ class Regression:
         return replace(self, gram=self.gram.raised(power))
 
     def fit(self, posterior: Posterior) -> Fit:
-        """How well a posterior (in original units) gives the target on the training rows."""
+        """The fit of a posterior (in original units) to the target on the training rows."""
         return _fit(self.rows, posterior)
 
     def held_out_fit(self, posterior: Posterior) -> Fit | None:
-        """The same on the rows held out; None where there are none."""
+        """The fit of a posterior on the rows held out; None if there are none."""
         return None if self.held_out is None else _fit(self.held_out, posterior)
 
     def noise_variance(self, posterior: Posterior) -> float:
@@ -159,7 +162,7 @@ class Regression:
         return self.rows.squared_error(posterior.coef, posterior.intercept) / spare
 
     def residuals(self, posterior: Posterior, channels: Sequence[str] = ()) -> Residuals:
-        """Training residuals, against some channels; those that are rounding of the Gram count as white."""
+        """Diagnostics of training residuals, against some channels; residuals that are rounding count as white."""
         train, smoothing = self.motion.train, self.motion.estimated_by(self.k)
         places = [(i, part) for i in range(len(train)) for part in self.motion.smoothed_pieces(i)]
         pieces = [train[i].part(part) for i, part in places]
@@ -170,7 +173,7 @@ class Regression:
         return found if self.fit(posterior).nrmse > ROUNDING else Residuals(found.n, 0.0, float(found.n))
 
     def _residual(self, posterior: Posterior, rows: MotionRows, i: int, part: slice) -> Floats:
-        """What a posterior leaves of the target in some rows, part of record i: those that equations are judged by."""
+        """Residuals of a posterior in `rows`, a part of record i, without the ends that equations are not judged by."""
         smoothing = self.motion.estimated_by(self.k)
         out: Floats = rows.observed[self.chain.target] - posterior.intercept
         kept = np.flatnonzero(posterior.support)
@@ -191,7 +194,7 @@ def judged_by(design: Design, k: int) -> tuple[Gram, Gram | None]:
 
 
 def shows_noise(pieces: Sequence[Floats]) -> bool:
-    """Whether the highest of a channel's frequencies have next to nothing of it: there its noise is seen."""
+    """Whether a channel has little power at its highest frequencies, so that its noise is visible there."""
     levels = [
         [float(band.mean()) for band in np.array_split(np.abs(np.fft.rfft(values - values.mean())[1:]) ** 2, BANDS)]
         for values in pieces
@@ -202,16 +205,16 @@ def shows_noise(pieces: Sequence[Floats]) -> bool:
 
 
 def _judged(rows: MotionRows, smoothing: ChainSmoothing | None) -> slice:
-    """The rows that an equation is judged by: all, but the ends of an estimated target."""
+    """The rows that an equation is judged by: without the ends of an estimated target."""
     return rows.inside if smoothing is None else smoothing.inner(rows.n)
 
 
 def _filtered(
     D: Floats, terms: Sequence[Expression], states: Sequence[str], smoothing: ChainSmoothing | None
 ) -> Floats:
-    """Columns (n, P) of the terms on the rows of a record, filtered as an estimated target was; else as they are.
+    """Columns (n, P) of terms, filtered like the estimated target, except those of states, which are smoothed already.
 
-    States are smoothed already; so are products of them where the motion is strong, but not their harmonics.
+    Unchanged without `smoothing` (the target is measured). Products of smoothed states still have unsmoothed harmonics.
     """
     if smoothing is None:
         return D
@@ -222,7 +225,7 @@ def _filtered(
 
 
 def _filtered_gram(design: Design, k: int, pieces: Sequence[MotionRows], kept: bool = False) -> Gram:
-    """Statistics of a target that was estimated, its terms filtered like it, without rows that were bridged."""
+    """Statistics of an estimated target and of terms filtered like it, without rows that were bridged."""
     smoothing, roles = design.motion.estimated_by(k), design.motion.roles
     target = roles.chains[k].target
 
@@ -244,7 +247,7 @@ def _fit(gram: Gram, posterior: Posterior) -> Fit:
     return Fit(n=round(gram.n), r2=1.0 - share, nrmse=math.sqrt(share))
 
 
-# Degrees of freedom of an interval, at least, by Satterthwaite: of few batches a variance is hardly known.
+# Least degrees of freedom of an interval, by Satterthwaite: a variance from few batches is hardly known.
 LEAST_FREEDOM = 3.0
 
 
@@ -261,7 +264,7 @@ class RecordRegression(Regression):
     """The regression of one target by the likelihood of the records."""
 
     record: RecordFit  # the likelihood
-    power: float = 1.0  # that `gram` is raised to
+    power: float = 1.0  # power that the likelihood in `gram` is raised to
 
     counts_rows: ClassVar[bool] = False
 
@@ -271,7 +274,7 @@ class RecordRegression(Regression):
 
     @property
     def factors(self) -> tuple[tuple[str, ...], Floats]:
-        """As of `Regression`: other channels of a chain tell of them."""
+        """Like `Regression.factors`, with factors estimated by the likelihood from the other channels."""
         found = self.record.calibration
         return tuple(found.gains), found.covariance
 
@@ -297,7 +300,7 @@ class RecordRegression(Regression):
 
     @property
     def through_motion(self) -> bool:
-        """As of `Regression`: of a target that is not measured."""
+        """Whether the target is not measured."""
         return self.chain.measured[-1] is None
 
     def tests(self) -> tuple[Discrepancy | None, Octave | None, Change | None]:
@@ -314,7 +317,7 @@ class RecordRegression(Regression):
         return name not in self.record.inputs_of_known_noise
 
     def thinned(self) -> Regression:
-        """The same: samples count by their noise."""
+        """The regression itself: samples are weighted by their noise."""
         return self
 
     def raised(self, power: float) -> Regression:
@@ -322,7 +325,7 @@ class RecordRegression(Regression):
         return replace(self, gram=self.gram.raised(power), power=self.power * power)
 
     def reported(self, found: Posterior, basis: Floats, limits: Floats | None, free: bool) -> Posterior:
-        """As of `Regression`: of the terms that the record was fitted with by projection."""
+        """Like `Regression.reported`, by projection if the terms are those that the record was fitted with."""
         found = replace(found, constant=replace(found.constant, variance=found.noise_variance / found.n))
         block = self.record.block(self.k)
         model = self.record.fitted.model[block]
@@ -335,7 +338,7 @@ class RecordRegression(Regression):
         return replace(found, noise_variance=self.noise_variance(found))
 
     def _projected(self, found: Posterior, basis: Floats, limits: Floats | None, free: bool) -> Posterior:
-        """The posterior by projection (`bayeq.likelihood.projection`), within limits where it is not `free` of them."""
+        """The posterior by projection (`bayeq.likelihood.projection`), with coefficients within the limits."""
         kept, left = found.support, self.record.leftover(self.k)
         (theta, covariance), r = self.record.own_coefficients(self.k), int(kept.sum())
         with_constant = len(theta) > r
@@ -357,7 +360,7 @@ class RecordRegression(Regression):
             change = np.where(theta + change > high, high - theta, change)
         both = covariance + moved.covariance
         added, total = np.diagonal(moved.covariance), np.diagonal(both)
-        # Satterthwaite, of a part that is known and one that is estimated
+        # Satterthwaite's, of the sum of a known and an estimated variance
         freedom = moved.freedom * (total / np.maximum(added, 1e-9 * total + np.finfo(float).tiny)) ** 2
         own, sd = np.zeros((2, len(kept)))
         own[kept], sd[kept] = theta[:r], np.sqrt(np.diagonal(covariance))[:r]
@@ -369,7 +372,7 @@ class RecordRegression(Regression):
 
 
 def _with_constant(found: Posterior, theta: Floats, both: Floats) -> Posterior:
-    """A posterior with coefficients of this covariance, the constant last if it is in the model."""
+    """A posterior with coefficients `theta` and covariance `both`, the constant last if it is in the model."""
     kept, r, total = found.support, int(found.support.sum()), np.diagonal(both)
     coef, center = np.zeros((2, len(kept)))
     coef[kept] = theta[:r]
@@ -385,7 +388,7 @@ def _with_constant(found: Posterior, theta: Floats, both: Floats) -> Posterior:
     return replace(found, constant=replace(found.constant, center=center, mean=mean, variance=variance))
 
 
-# Half of the step of central differences, as a share of what is changed: their error is about its square.
+# Half of the step of central differences, as a share of the value that changes: their error is about its square.
 STEP = 1e-4
 
 # An input of which more than this share of the samples repeats the one before is a command, not a measurement.
@@ -395,8 +398,8 @@ REPEATED = 0.1
 def calibrated(regression: Regression, posterior: Posterior, basis: Floats) -> Posterior:
     """The posterior, in original units, with the uncertainty of the sensors' calibration in its covariances.
 
-    To first order coefficients change with a factor as the regression of what it changes of the target and of the terms
-    does, those of the support with the free ones by `basis`, (r, f).
+    To first order, coefficients change with a factor by the regression, on the terms, of the target's change less that
+    of the sum of the terms. `basis`, (r, f), are the derivatives of the coefficients by the free ones.
     """
     names, known = regression.factors
     kept = np.flatnonzero(posterior.support)
@@ -408,7 +411,7 @@ def calibrated(regression: Regression, posterior: Posterior, basis: Floats) -> P
     covariance = posterior.covariance + added
     own, averaged = posterior.constant, posterior.averaged
     if own.left_out is None:
-        # such that the intercept has the variance that it had, and that of its own change
+        # such that the intercept has its former variance, and that of its own change
         center = own.center[kept]
         mean = max(posterior.intercept_sd**2 + constant - float(center @ covariance @ center), 0.0)
         own = replace(own, variance=mean)
@@ -444,7 +447,7 @@ def _change_by_factor(
 
 
 def inputs_of_hidden_noise(regression: Regression, posterior: Posterior) -> tuple[str, ...]:
-    """Inputs in the terms of a posterior whose noise was not given, nor known by the likelihood of the record."""
+    """Inputs in the terms of a posterior whose noise was neither given nor visible in the record."""
     motion, terms = regression.motion, regression.design.terms
     used = {name for j in np.flatnonzero(posterior.support) for name in terms[j].names}
     inputs = [name for name in motion.roles.inputs if name in used and name not in motion.sensors.noise]
@@ -453,7 +456,7 @@ def inputs_of_hidden_noise(regression: Regression, posterior: Posterior) -> tupl
 
 
 def _may_hide_noise(pieces: Sequence[Floats]) -> bool:
-    """Whether white noise of `hidden_noise` could be in a channel: no held command, and nowhere a lower spectrum."""
+    """Whether a channel could hold white noise of `hidden_noise`: no held command, and nowhere a lower spectrum."""
     repeated = sum(int(np.count_nonzero(np.diff(values) == 0.0)) for values in pieces)
     if repeated > REPEATED * sum(map(len, pieces)):
         return False
@@ -487,7 +490,7 @@ def _columns_and_derivatives(
     regression: Regression, posterior: Posterior, changed: Callable[[str, Floats, float], Floats]
 ) -> Iterator[tuple[Floats, Floats]]:
     """Columns (n, r) of the posterior's terms on the training rows of each record, and their derivatives by a change of
-    the channels: `changed` gives a column after a step."""
+    the channels: `changed` returns a channel after a step."""
     terms: list[Expression] = [regression.design.terms[j] for j in np.flatnonzero(posterior.support)]
 
     def evaluated(columns: Mapping[str, Floats], step: float) -> Floats:

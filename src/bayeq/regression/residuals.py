@@ -1,4 +1,4 @@
-"""How well an equation fits, and what its residuals say about it."""
+"""Quality of the fit of an equation, diagnostics of its residuals, and the effective number of rows by these."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from bayeq.numerics.settings import REGRESSION
 MOST_LAGS = 100
 SHARE_OF_LAGS = 0.25
 
-# Residuals follow a channel if their largest cross-correlation has a smaller probability than this by chance ...
+# Residuals follow a channel if their largest cross-correlation has a smaller p value than this ...
 CHANCE = 1e-4
-# ... and so large that it matters.
+# ... and is larger than this.
 LEAST_CORRELATION = 0.1
 
 
@@ -45,7 +45,7 @@ class Driver:
     name: str  # an input or a state
     lag: int  # rows by which the residuals come after it
     correlation: float  # cross-correlation at that lag
-    p_value: float  # probability of one so large, at any lag of any channel, if residuals had nothing to do with them
+    p_value: float  # probability of one as large, at any lag of any channel, if residuals were independent of these
 
     def __str__(self) -> str:
         when = "" if not self.lag else f" {abs(self.lag)} rows {'before' if self.lag > 0 else 'after'}"
@@ -54,18 +54,18 @@ class Driver:
 
 @dataclass(frozen=True, slots=True)
 class Residuals:
-    """What residuals of an adequate model do not have: memory, a shape of their own, or a channel that they follow."""
+    """Diagnostics of residuals, which for an adequate model are uncorrelated, normal and independent of channels."""
 
     n: int  # rows
     lag1: float  # autocorrelation at lag 1
     n_eff: float  # effective sample size n / (1 + 2 sum rho_k), the sum over the lags up to the first rho_k <= 0
-    # as in `bayeq.numerics.distributions.Shape`; by the likelihood of the record those of the standardised innovations
-    # of the channel of the chain that is least normal: residuals may be larger here than there
+    # as in `bayeq.numerics.distributions.Shape`; with the likelihood of the record, the shape of the standardised
+    # innovations of the channel of the chain that is least normal
     skewness: float = 0.0
     kurtosis: float = 0.0
     normality: float = 1.0
     driver: Driver | None = None  # the input or state that they follow most, where channels were given
-    # of the likelihood of the record: standard deviation of what the dictionary does not hold, a share of the target's
+    # with the likelihood of the record: standard deviation of the discrepancy, as a share of the target's
     discrepancy: float | None = None
 
     @property
@@ -119,16 +119,16 @@ def _centred(pieces: Sequence[Floats]) -> list[Floats]:
 
 
 def _both_ways(first: Sequence[Floats], second: Sequence[Floats], lags: int) -> Floats:
-    """Sums of products at lags of the first behind the second, from -lags to lags."""
+    """Sums of products of two channels at lags of the first behind the second, from -lags to lags."""
     return np.concatenate([correlation(second, first)[lags:0:-1], correlation(first, second)[: lags + 1]])
 
 
 def _strongest(centred: Sequence[Floats], rho: Floats, channels: Mapping[str, Sequence[Floats]]) -> Driver | None:
     """The channel with the most significant cross-correlation.
 
-    Under independence these have variance 1/n sum rho_k rho'_k over all lags (Bartlett 1946), times the mean of the
-    products of both squares over the product of their means: after a blow both are large (White 1980). The largest is
-    compared with a normal distribution, times the number of lags and channels that it was chosen from.
+    Under independence cross-correlations have variance 1/n sum rho_k rho'_k over all lags (Bartlett 1946), times the
+    mean product of the squares over the product of their means: after a blow both are large (White 1980). The p value
+    of the largest is by a normal distribution, times the number of lags and channels that it was chosen from.
     """
     n = sum(len(piece) for piece in centred)
     own = math.sqrt(sum(float(e @ e) for e in centred))
@@ -150,10 +150,10 @@ def _strongest(centred: Sequence[Floats], rho: Floats, channels: Mapping[str, Se
     return max(found, key=lambda entry: entry[0])[1] if found else None
 
 
-# Fits that find what residuals are worth, and the coefficients of the inputs.
+# Pilot fits, at most, that estimate the effective sample size of residuals, or the coefficients of noisy inputs.
 PILOTS = 3
 
-# No more than this share of a column's sum of squares is subtracted as noise.
+# At most this share of a column's sum of squares is subtracted as noise.
 MOST_NOISE = 0.5
 
 
@@ -166,7 +166,7 @@ def _pilot(gram: Gram) -> Posterior:
 
 
 def without_noise(gram: Gram, noise: Mapping[int, float]) -> Gram:
-    """The Gram of rows without the known noise variances of columns that are inputs; in the residual they stay."""
+    """The Gram without the known noise variances of input columns; they remain in the residual sum of squares."""
     removed = np.zeros(len(gram.names))
     for j, variance in noise.items():
         removed[j] = min(gram.n * variance, MOST_NOISE * gram.DtD[j, j])
@@ -181,10 +181,11 @@ def without_noise(gram: Gram, noise: Mapping[int, float]) -> Gram:
 
 
 def thinned_gram(gram: Gram, residuals: Callable[[Posterior], Residuals]) -> Gram:
-    """The Gram of as many rows as the residuals are worth: where they are correlated, N_eff rows instead of N.
+    """The Gram raised to the effective sample size: N_eff rows instead of N where residuals are correlated.
 
-    Found in turn, since a model of fewer terms leaves residuals that are more correlated. What a rejected model leaves,
-    one that explains less than half of the target, is the motion itself. `residuals` inspects what a posterior leaves.
+    Model and N_eff are found iteratively, since a model of fewer terms has more correlated residuals. If a model
+    explains less than half of the target, its residuals are the motion itself, and the Gram is unchanged. `residuals`
+    inspects the residuals of a posterior.
     """
     share = 1.0
     for _ in range(PILOTS):
@@ -192,7 +193,7 @@ def thinned_gram(gram: Gram, residuals: Callable[[Posterior], Residuals]) -> Gra
         if gram.squared_error(model.coef) > REGRESSION.rejected * gram.yty:
             return gram
         found = residuals(model)
-        # at least as many rows as leave a regression
+        # so that the weight of at least three rows remains
         share = min(max(found.n_eff / found.n, 3.0 / gram.n), 1.0) if found.correlated else 1.0
         if share == 1.0:
             break

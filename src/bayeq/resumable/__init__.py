@@ -1,4 +1,4 @@
-"""Long work that goes on where it was stopped: results in an SQLite file, worker processes, and progress."""
+"""Long work that can be resumed: results in an SQLite file, worker processes, and progress."""
 
 from collections.abc import Callable
 
@@ -9,4 +9,4 @@ Progress = Callable[[str, int, int], None]
 
 
 def silent(stage: str, done: int, total: int) -> None:
-    """No progress shown."""
+    """Progress callback that shows nothing."""

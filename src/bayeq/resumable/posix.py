@@ -1,4 +1,4 @@
-"""What needs POSIX, and what is done on other systems: no other file asks which system it runs on."""
+"""Functions that need POSIX, with replacements on other systems; no other module checks the system."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ KILL = signal.SIGKILL if POSIX else signal.SIGTERM
 
 
 def address_space() -> int | None:
-    """Most address space that this process may have [MB]; None without a limit, or where the system has none."""
+    """Limit of the address space of this process [MB]; None without a limit, and on systems without POSIX."""
     if not POSIX:
         return None
     import resource
@@ -30,13 +30,13 @@ def address_space() -> int | None:
 
 
 def has_ended(process: int) -> bool:
-    """Whether no process of this machine has this number; False elsewhere, where `os.kill` would end it."""
+    """Whether no process of this machine has this id; False without POSIX, where `os.kill` would end it."""
     try:
         if POSIX:
             os.kill(process, 0)
     except (ProcessLookupError, OverflowError):  # a number that no process can have
         return True
-    except PermissionError:  # of another user
+    except PermissionError:  # it runs, but belongs to another user
         pass
     return False
 
@@ -55,13 +55,13 @@ def signal_group(process: Process, number: signal.Signals) -> None:
 
 
 def on_signal(name: str, handler: Callable[..., Any]) -> None:
-    """Call this at a signal of POSIX: SIGHUP when the terminal is closed, SIGALRM when the time of `alarm` has come."""
+    """Install the handler of a POSIX signal: SIGHUP (the terminal is closed), SIGALRM (the time of `alarm` is over)."""
     if POSIX:
         signal.signal(signal.Signals[name], handler)
 
 
 def alarm(seconds: float) -> bool:
-    """Set the alarm, or with 0 switch it off; returns whether there is one."""
+    """Send SIGALRM after this time, or with 0 cancel it; returns whether the system has alarms (POSIX)."""
     if POSIX:
         signal.setitimer(signal.ITIMER_REAL, seconds)
     return POSIX
@@ -69,7 +69,7 @@ def alarm(seconds: float) -> bool:
 
 @contextmanager
 def interrupts_later() -> Iterator[None]:
-    """Interrupts wait until the end, and processes that are started meanwhile get none."""
+    """Hold Ctrl-C back until the end (without POSIX, ignore it); processes started meanwhile inherit this."""
     if POSIX:
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:

@@ -1,9 +1,9 @@
-"""Results in an SQLite file, kept as they are made, so that work that is stopped goes on where it was; and `fill`.
+"""Results in an SQLite file, stored as they are computed, so that stopped work can be resumed; and `fill`.
 
-Only processes that run the work write, each time one transaction under SQLite's rollback journal (one file, also on
-network drives): a kill at any moment leaves the transactions that were committed, and nothing else. Several processes
-may share the work: each claims rows before it computes them (`Claims`). What a store lacks is computed by worker
-processes: Ctrl-C stops without noise, and a kill leaves no workers.
+Only the processes that call `fill` write, not their workers, each time one transaction under SQLite's rollback journal
+(one file, also on network drives): a kill at any moment leaves the committed transactions, and nothing else. Several
+processes may share the work: each claims rows before it computes them (`Claims`). Missing results are computed by
+worker processes: Ctrl-C stops quietly, and a kill leaves no workers.
 """
 
 from __future__ import annotations
@@ -32,19 +32,19 @@ Key = tuple[Any, ...]
 # How long to wait for another process that is writing [s].
 PATIENCE = 60.0
 
-# A claim ends so long after it was prolonged last, which is done that often [s].
+# A claim expires LEASE after its last renewal, and is renewed every BEAT [s].
 LEASE, BEAT = 60.0, 15.0
 
 
 class ResultStore:
-    """A file of tables, one of them the table of results; a subclass names them. Use it in a ``with`` statement.
+    """An SQLite file with a table of results; a subclass defines the tables. Use it in a ``with`` statement.
 
-    With `make` it is opened for work: made if it is not there, and given a table of claims if it has none yet; with
-    `any_thread` threads may use it, which take turns. FileFormatError where there is no such file, it is something
-    else, is damaged, or cannot be written.
+    `make` opens it for work: the file is created if absent, and gets a table of claims if it has none. `any_thread`
+    permits use from several threads, one at a time. FileFormatError if the file is absent, of another kind, damaged, or
+    cannot be written.
     """
 
-    #: In the header of the file, and the version of its tables.
+    #: Application id in the header of the file, and the version of its tables.
     application: ClassVar[int]
     version: ClassVar[int] = 1
     #: What the file is, in messages, such as "a study".
@@ -54,7 +54,7 @@ class ResultStore:
     #: The table of results; the columns of its key, which come first, with their types.
     table: ClassVar[str]
     key: ClassVar[dict[str, str]]
-    #: What becomes of a row that is there already when it is put again: IGNORE the new one, or REPLACE the old one.
+    #: How `put` treats a row whose key exists already: IGNORE the new row, or REPLACE the old one.
     again: ClassVar[str]
 
     def __init__(self, path: str | Path, make: bool = False, any_thread: bool = False) -> None:
@@ -84,7 +84,7 @@ class ResultStore:
             raise
 
     def _require_place(self, make: bool) -> None:
-        """Refuse what is no file, or cannot become one."""
+        """Raise FileFormatError for a path that is no file, or where a file cannot be created."""
         path = self.path
         try:
             os.fsencode(path)
@@ -143,7 +143,7 @@ class ResultStore:
                 self._connection.execute(f"DELETE FROM claims WHERE {self._is_key}", row[: len(self.key)])
 
     def done(self, key: Key) -> bool:
-        """Whether there is a result that need not be computed again."""
+        """Whether the result of this key is stored, and need not be computed again."""
         return bool(self._read(f"SELECT 1 FROM {self.table} WHERE {self._is_key}", key))
 
     @property
@@ -158,7 +158,7 @@ class ResultStore:
             return self._connection.execute(statement, values).fetchall()
 
     def _write(self, statement: str, *rows: Sequence[Any]) -> None:
-        """Execute a statement with each of some rows of values, in one transaction."""
+        """Execute a statement with each row of values (or once without values), in one transaction."""
         with self._transaction():
             for row in rows or [()]:
                 self._connection.execute(statement, row)
@@ -177,7 +177,7 @@ class ResultStore:
 
     @contextmanager
     def _guard(self) -> Iterator[None]:
-        """SQLite's complaints as ours."""
+        """Turn errors of SQLite, and of damaged contents, into FileFormatError."""
         try:
             yield
         except sqlite3.OperationalError as error:  # locked, full, not writable: the file may be fine
@@ -191,11 +191,11 @@ class ResultStore:
 
 
 class Claims:
-    """The rows that this process works at, so that several processes on one store do each of them once.
+    """Claims of this process on rows, so that several processes on one store compute each row once.
 
-    A claim ends after a minute unless its owner prolongs it, which a thread does; that of a process of this machine
-    that is no more ends at once. Where a claim is lost and a row is computed twice after all, both are the same. As a
-    context manager it gives back at its end what is not done. The store is opened once more, for threads.
+    A claim expires after a minute unless a thread of its owner renews it, and at once if its owner was a process of
+    this machine that has ended. If a claim is lost and a row is computed twice, both results are the same. The context
+    manager drops the remaining claims at its end. It opens the store a second time, for use by threads.
     """
 
     def __init__(self, store: ResultStore) -> None:
@@ -212,11 +212,11 @@ class Claims:
     def __exit__(self, *_: object) -> None:
         self._stop.set()
         self._beating.join()
-        with self._store, suppress(FileFormatError):  # otherwise they end by themselves
+        with self._store, suppress(FileFormatError):  # otherwise they expire
             self._store._write("DELETE FROM claims WHERE owner = ?", (self.owner,))
 
     def free(self, wanted: Sequence[Key]) -> tuple[Key, ...]:
-        """Claim rows, in one transaction: those that are done or claimed by others are left out."""
+        """Claim rows in one transaction; returns those that are neither claimed by others nor done."""
         store, free = self._store, []
         with self._lock:
             with store._transaction():
@@ -229,17 +229,17 @@ class Claims:
                     f"INSERT OR REPLACE INTO claims VALUES ({'?, ' * len(store.key)}?, ?)",
                     [(*key, self.owner, time.time() + LEASE) for key in free],
                 )
-            # another process may have done it before it was claimed here
+            # another process may have done a row before it was claimed here
             return tuple(key for key in free if not store.done(key))
 
     def _beat(self) -> None:
         while not self._stop.wait(BEAT):
-            with suppress(FileFormatError), self._lock:  # the next time will do
+            with suppress(FileFormatError), self._lock:  # the next renewal will do
                 self._store._write("UPDATE claims SET until = ? WHERE owner = ?", (time.time() + LEASE, self.owner))
 
 
 def _dead(owner: str, until: float) -> bool:
-    """Whether a claim has ended, or its process on this machine."""
+    """Whether a claim has expired, or its process on this machine has ended."""
     if until < time.time():
         return True
     host, process, _ = owner.rsplit(":", 2)
@@ -251,16 +251,16 @@ def _dead(owner: str, until: float) -> bool:
 Task = TypeVar("Task")
 Answer = TypeVar("Answer")
 
-# Tasks that wait for each worker.
+# Tasks dispatched for each worker at a time.
 AHEAD = 3
 
 # How often a worker looks whether its parent is alive [s].
 WATCH = 0.5
 
-# How often it is looked whether other processes have done what they claimed [s].
+# Pause before missing rows are checked again when other processes have claimed all of them [s].
 LOOK = 0.5
 
-# More is a mistake of typing.
+# Most worker processes; a larger number is taken for a typing mistake.
 MAX_JOBS = 512
 
 
@@ -276,12 +276,12 @@ def fill(
 ) -> Generator[tuple[Answer, int, int], None, None]:
     """Compute the results that a store lacks; the caller puts each answer into it.
 
-    `missing` gives the keys that it lacks now, in groups that are computed together, and is asked until there are none.
+    `missing` returns the keys still missing, in groups that are computed together, and is called until there are none.
     `tasks` turns the keys of `size` groups into a task, `work` a task into its answer, and `count` gives the number of
-    groups in an answer. `jobs` processes compute, with 1 this one alone, or the workers of a cluster. A result depends
-    on its key alone, whatever the workers, batches and kills; several processes may fill a store.
+    groups in an answer. The work is done by `jobs` processes (1: this process) or by the workers of a `cluster`. A
+    result depends on its key alone, whatever the workers, batches and kills; several processes may fill a store.
 
-    Yields an answer as it is ready, the number of groups done with it, and of these and the missing ones.
+    Yields each answer as it is ready, with the number of groups done in this call and their total.
     """
     done = 0
     with Claims(store) as claims:
@@ -343,7 +343,7 @@ def _in_worker(work: Callable[[Task], Answer], task: Task, parent: int) -> Answe
 
 
 def _thread_failed(hook: Callable[[threading.ExceptHookArgs], object], failure: threading.ExceptHookArgs) -> None:
-    """Report an exception in a thread, unless it is loky's manager that finds its queue taken away when stopped."""
+    """Report an exception in a thread, unless it is the KeyError of loky's manager thread after a stop."""
     name = failure.thread.name if failure.thread is not None else ""
     if not (name.startswith("ExecutorManager") and issubclass(failure.exc_type, KeyError)):
         hook(failure)
@@ -351,14 +351,14 @@ def _thread_failed(hook: Callable[[threading.ExceptHookArgs], object], failure: 
 
 @contextmanager
 def _born_quiet() -> Iterator[None]:
-    """Processes started here inherit that Ctrl-C is for the parent alone, and say nothing of what a stop leaves."""
+    """Processes started within leave Ctrl-C to the parent, and their resource tracker does not warn after a stop."""
     from multiprocessing.resource_tracker import ensure_running
 
     warned = os.environ.get("PYTHONWARNINGS")
     os.environ["PYTHONWARNINGS"] = ",".join(filter(None, (warned, "ignore:resource_tracker")))
     try:
         if POSIX:
-            ensure_running()  # which lets interrupts through at its end, in Python 3.11
+            ensure_running()  # before the block: in Python 3.11 it unblocks interrupts at its end
         with interrupts_later():
             yield
     finally:
@@ -370,8 +370,7 @@ def _born_quiet() -> Iterator[None]:
 
 @lru_cache(maxsize=1)
 def _stop_with(parent: int) -> None:
-    """Leave Ctrl-C, which a terminal sends to all, to the parent; end soon after it has been killed, instead of waiting
-    for work for minutes."""
+    """Ignore Ctrl-C, which a terminal sends to all processes, in this worker; end it soon after its parent is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def look() -> None:

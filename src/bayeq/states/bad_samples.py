@@ -1,8 +1,8 @@
 """Samples that are no measurement of the motion: spikes, stuck and clipped stretches, found before anything is fitted.
 
-A spike is what the other samples of its chain contradict, those before it and those after it, and nothing is
-contradicted any more once it is left out. That distinguishes it from what motion does: a sample beside a jump of the
-acceleration agrees with one side, and in a burst the samples around the one that was left out are missed as well.
+A spike is a sample that the other samples of its chain contradict, both those before it and those after it, while these
+agree once it is left out. This distinguishes spikes from motion: a sample next to a jump of the acceleration agrees
+with one side, and in a burst the smoother also misses the samples around the one that was left out.
 """
 
 from __future__ import annotations
@@ -30,70 +30,71 @@ from bayeq.states.sensors import unit_gains
 # Kinds of bad samples, and what to do about them.
 ADVICE = {"spikes": "check the sensor", "stuck": "check the sensor", "clipped": "measure in a wider range"}
 
-# ... by this share of the channel's (friction in records of 0.1 % noise jumps by 2 %, and a few samples that err by so
-# little do no harm), and by this many levels, in a channel of few.
+# A spike errs by at least a share LEAST_SHARE of the channel's standard deviation (friction in records of 0.1 % noise
+# jumps by 2 %, and a few samples that err by so little do no harm), and by LEVELS levels where these are few: fewer
+# than FEW_LEVELS times the samples.
 LEAST_SHARE = 0.03
 LEVELS = 2.5
 FEW_LEVELS = 0.5
 
-# The standard deviation is a robust one of the whole record, or of this many rows on either side if that is larger: the
-# errors of a smoother grow where the motion is not its model's. A fifth of them may be spikes.
+# Errors are compared with their robust standard deviation in the whole record, or within LOCAL rows on either side if
+# that is larger: a smoother's errors grow where the motion differs from its model. A fifth of them may be spikes.
 LOCAL = 16
 UPPER, UPPER_NORMAL = 0.8, 1.2816
 MEDIAN_NORMAL = 0.6745
 
-# Where more than half of the samples are predicted exactly, their errors count as this share of the model's.
+# Least factor of the model's standard deviations, where more than half of the samples are predicted exactly.
 ROUNDING = 1e-9
 
 # With a spike left out, the samples of its channel within NEAR rows err by less than a spike, or by a
-# fraction 1/STANDS_OUT of the spike, and those of other channels by no more than WORSE times what they did: of a jump
-# half is left.
+# fraction 1/STANDS_OUT of the spike, and those of other channels by at most WORSE times their former error: at a jump
+# half of the error would remain.
 NEAR = 5
 STANDS_OUT = 5.0
 WORSE = 1.5
 
-# Errors this near to each other have one cause, of a few samples at most.
+# Errors within TOGETHER rows of each other have one cause, of at most MOST_TOGETHER samples.
 TOGETHER = 8
 MOST_TOGETHER = 3
 
-# Of the places where a channel errs as much or more, at least this share are spikes: elsewhere it is the motion that
-# the smoother misses.
+# A spike counts if, of the places where its channel errs as much or more, at least this share are spikes: otherwise the
+# smoother misses the motion.
 MOSTLY = 0.75
 
-# Noise levels are learned again without what was found, up to this many times.
+# Noise levels are learned again without the spikes found, in up to this many passes.
 PASSES = 6
 
-# A stretch that may be stuck: this many equal samples, and this many times as many as the usual sample has beside it.
+# A stretch may be stuck if it has LEAST_STUCK equal samples, and TIMES_USUAL times as many as the usual run of equals.
 LEAST_STUCK = 10
 TIMES_USUAL = 4.0
 
 # It is stuck if the other channels of its chain say that it moved, by this many standard deviations on average.
 MOVED = 3.0
 
-# Alone, a channel is stuck that stops without a jump and goes on with one of this many usual steps.
+# A channel with no others to compare is stuck if it stops without a jump and goes on with one of this many usual steps.
 JUMP = 3.0
 
-# A spike of an input is a blow if the motion answers it within this many rows. An answer is no spike: the input is then
-# further from where it was and will be than BLOW times what a share BLOW_SHARE of its changes stay within.
+# A spike of an input is a blow if the motion responds within ANSWER rows; the response is no spike either. In a blow
+# the input differs from its values before and after by more than BLOW times the BLOW_SHARE quantile of its changes.
 ANSWER = 2
 BLOW, BLOW_SHARE = 3.0, 0.9
 
-# Where no answer can be seen, an input that is but noise between this many spikes or more is a series of blows.
+# Where no response is measured, an input that is only noise between LEAST_BLOWS or more spikes is a series of blows.
 LEAST_BLOWS = 3
 ONLY_NOISE = 0.7
 
-# Fewer rows tell nothing.
+# Records of fewer rows are not searched.
 LEAST_ROWS = 40
 
-# Where there are more spikes, as a share of a channel, they are what it measures.
+# More spikes than this share of a channel's samples are part of what it measures, and kept.
 MOST_SPIKES = 0.05
 
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """What channels were judged by, so that further records of the same system are judged by the same."""
+    """Models and gains that channels were judged by, for further records of the same system."""
 
-    # motion and noise levels of an input, of a channel alone, and of a chain
+    # by names of channels, the model (motion and noise levels) of an input, a channel alone, or a chain
     models: dict[tuple[str | None, ...], KinematicModel] = field(default_factory=dict)
     gains: dict[tuple[str | None, ...], Floats] = field(default_factory=dict)  # of chains, (K+1,)
 
@@ -101,10 +102,10 @@ class Learned:
 def find_bad_samples(
     records: Sequence[Record], roles: Roles, learned: Learned | None = None
 ) -> list[dict[str, dict[str, Bools]]]:
-    """Which samples are bad, (n,) bool: for each record of one system, channel that has some, and kind.
+    """Masks (n,) of bad samples: for each record of one system, each channel that has some, and each kind.
 
-    NaN is a missing sample. Records without time, or of fewer than 40 rows, are not looked at. What is learned is added
-    to `learned`, and not learned again.
+    NaN is a missing sample. Records without time, or of fewer than 40 rows, are not searched. Models and gains are
+    taken from `learned` if it has them; otherwise they are estimated and added to it.
     """
     out: list[dict[str, dict[str, Bools]]] = [{} for _ in records]
     timed = [i for i, record in enumerate(records) if record.time is not None and record.n >= LEAST_ROWS]
@@ -127,7 +128,7 @@ def find_bad_samples(
 def without_bad_samples(
     records: Sequence[Record], roles: Roles, learned: Learned | None = None
 ) -> tuple[list[Record], list[str]]:
-    """The records with NaN in place of what `find_bad_samples` finds, and a message for each channel and kind."""
+    """The records with NaN in place of bad samples (`find_bad_samples`), and a message for each channel and kind."""
     out, messages = [], []
     for record, channels in zip(records, find_bad_samples(records, roles, learned), strict=True):
         changed = {
@@ -146,7 +147,7 @@ def _message(name: str, kind: str, rows: Bools) -> str:
     return f"{name}: {samples} ({listed(rows)}: {in_digits(100 * count / len(rows))} %); {ADVICE[kind]}"
 
 
-# Rows are listed in this many characters.
+# Largest number of characters in a list of rows.
 LISTED = 24
 
 
@@ -162,7 +163,7 @@ def listed(rows: Bools, most: int = 3) -> str:
 
 
 class _Group:
-    """Channels that are judged by one smoother: a chain's, or one input."""
+    """Channels that are judged by one smoother: those of a chain, or one input."""
 
     def __init__(
         self,
@@ -183,7 +184,7 @@ class _Group:
 
     @classmethod
     def of_chain(cls, records: Sequence[Record], chain: Chain, learned: Learned) -> _Group:
-        """A chain from its lowest measured derivative on, in units that belong together, found without spikes."""
+        """A chain from its lowest measured derivative on, in consistent units, which are estimated without spikes."""
         names = chain.measured[chain.lowest :]
         if sum(name is not None for name in names) == 1:
             gains = np.ones(len(names))
@@ -201,7 +202,7 @@ class _Group:
         return cls(records, names, gains)
 
     def searched(self, learned: Learned) -> _Group:
-        """The group itself, with what was found in it; nothing where there is no noise level to judge by."""
+        """The group itself with its bad samples marked, none of them if no noise level can be estimated."""
         doubtful = [_long_runs(s) for s in self.series]
         model = self._search_spikes(doubtful, learned.models.get(self.names))
         if model is None:
@@ -238,7 +239,7 @@ class _Group:
 
 
 def _keep_answered(inputs: Sequence[_Group], chains: Sequence[_Group]) -> None:
-    """Put back blows: spikes of an input that a chain's motion answers, and the answers of its highest derivative."""
+    """Unmark blows: spikes of an input to which a chain responds, and the responses of its highest derivative."""
     seen = [chain for chain in chains if chain.names[-1] is not None]
     for group in inputs:
         for i, spikes in enumerate(group.spikes):
@@ -250,7 +251,7 @@ def _keep_answered(inputs: Sequence[_Group], chains: Sequence[_Group]) -> None:
                 answered |= _wider(chain.spikes[i][:, -1] | chain.missed[i] | _blows(answer))
                 chain.spikes[i][_wider(blows), -1] = False
             places = _places(np.flatnonzero(spikes[:, 0]), ANSWER)
-            # beside a force that a window made zero between blows there is nothing but these
+            # a force that a window made zero between blows has no other samples
             few = len(places) < LEAST_BLOWS and np.ptp(quiet) > 0.0
             unseen = not seen and not few and _is_noise(quiet)
             for place in places:
@@ -259,7 +260,7 @@ def _keep_answered(inputs: Sequence[_Group], chains: Sequence[_Group]) -> None:
 
 
 def _is_noise(values: Floats) -> bool:
-    """Whether there is nothing but noise in a channel: of white noise steps have twice the variance."""
+    """Whether a channel is only noise: the steps of white noise have twice its variance."""
     steps, spread = np.median(np.abs(np.diff(values))), np.median(np.abs(values - np.median(values)))
     return bool(steps >= ONLY_NOISE * math.sqrt(2.0) * spread)
 
@@ -270,12 +271,12 @@ def _places(rows: NDArray[np.intp], apart: int) -> list[NDArray[np.intp]]:
 
 
 def _wider(rows: Bools) -> Bools:
-    """The rows, and those within reach of an answer."""
+    """The rows, and those within `ANSWER` rows of them."""
     return np.convolve(rows, np.ones(2 * ANSWER + 1), "same") > 0.0
 
 
 def _blows(values: Floats) -> Bools:
-    """Rows in which an input is far from where it was before and is afterwards."""
+    """Rows in which a channel is far from its values `ANSWER` + 1 rows before and after."""
     apart = np.abs(values[ANSWER + 1 :] - values[: -ANSWER - 1])
     usual = float(np.nanquantile(apart, BLOW_SHARE))
     filled = np.concatenate([np.full(ANSWER + 1, np.inf), apart])
@@ -285,7 +286,7 @@ def _blows(values: Floats) -> Bools:
 
 
 def _nowhere(series: ChainSeries) -> Bools:
-    """No sample, (n, K+1)."""
+    """An empty mask of samples, (n, K+1)."""
     return np.zeros((series.n, len(series.channels)), dtype=np.bool_)
 
 
@@ -293,13 +294,13 @@ def _nowhere(series: ChainSeries) -> Bools:
 
 
 def _standard(errors: Floats) -> Floats:
-    """Errors of samples that were left out over their standard deviations; 0 without a sample."""
+    """Absolute leave-one-out errors over their standard deviations; 0 without a sample."""
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.nan_to_num(np.abs(errors[..., 0]) / errors[..., 1])
 
 
 def _factor(errors: Floats) -> Floats:
-    """Of each channel: what the model's standard deviations are to be multiplied by, for half of the errors to fit."""
+    """Factor of the model's standard deviations in each channel by which the median error is that of a normal one."""
     standard = np.where(np.isfinite(errors[..., 0]), _standard(errors), np.nan)
     present = np.isfinite(standard).any(axis=0)
     out = np.ones(standard.shape[1])
@@ -308,14 +309,14 @@ def _factor(errors: Floats) -> Floats:
 
 
 def _least(series: Sequence[ChainSeries]) -> Floats:
-    """Errors of each channel that may matter: a share of its standard deviation, or some of its levels."""
+    """Least error of a spike in each channel: a share of the channel's standard deviation, or some of its levels."""
     whole = np.concatenate([s.samples for s in series])
     out = np.zeros(whole.shape[1])
     for k, values in enumerate(whole.T):
         known = values[np.isfinite(values)]
         if len(known) < LEAST_ROWS:
             continue
-        # of the middle half, which spikes do not widen
+        # from the quartiles, which spikes hardly change
         spread = float(np.subtract(*np.quantile(known, (0.75, 0.25)))) / (2.0 * MEDIAN_NORMAL)
         levels = np.unique(known)
         few = 1 < len(levels) < FEW_LEVELS * len(known)
@@ -328,7 +329,7 @@ Place = tuple[int, int]
 
 
 class _Verdict(NamedTuple):
-    """A place where samples err: how much the worst one does, of which channel, and which samples are spikes."""
+    """A place where samples err: the largest error, its channel, and the samples there that are spikes."""
 
     error: float
     channel: int
@@ -336,7 +337,7 @@ class _Verdict(NamedTuple):
 
 
 def _standing_out(judged: Sequence[Sequence[_Verdict]]) -> list[tuple[int, Place]]:
-    """Record, row and channel of the spikes, without those that err no more than what is mostly motion."""
+    """Record, row and channel of the spikes, without those with errors of a size that is mostly due to motion."""
     out = []
     for k in {verdict.channel for one in judged for verdict in one}:
         ranked = sorted(
@@ -351,18 +352,18 @@ def _standing_out(judged: Sequence[Sequence[_Verdict]]) -> list[tuple[int, Place
 
 
 def _judged(series: ChainSeries, model: KinematicModel, least: Floats) -> list[_Verdict]:
-    """Places of a record where samples err: spikes leave nothing that errs once they are left out."""
+    """Places of a record where samples err; it is by spikes if no sample nearby errs once they are left out."""
     errors = leave_one_out(series, model)
     factor = _factor(errors)
     before = _standard(errors) / factor
     high = (before > STATES.spike) & (np.abs(np.nan_to_num(errors[..., 0])) > least)
-    # at the ends there is but one side
+    # at the ends there is only one side
     high[[0, -1]] = False
     rows = np.flatnonzero(high.any(axis=1))
     if not len(rows):
         return []
     worst = np.where(high, before, 0.0)
-    # of each place the samples that may be all that is wrong there
+    # samples that may be the spikes of each place, at first the worst one
     causes = [[_largest(worst, int(part[0]), int(part[-1]))] for part in _places(rows, TOGETHER)]
     noise = np.array([np.nan if sd is None else sd for sd in model.noise_sd])
     samples, out = series.samples, []
@@ -406,7 +407,7 @@ def _largest(values: Floats, first: int, last: int) -> Place:
 
 
 def _goes_on(at: Place, samples: Floats, predicted: Sequence[Floats], usable: Bools) -> bool:
-    """Whether a sample agrees with one side: with what it predicts, or with the nearest of its channel there."""
+    """Whether a sample agrees with one side: with the prediction from it, or its channel's nearest sample there."""
     row, k = at
     beside = [np.flatnonzero(usable[max(row - LOCAL, 0) : row, k])[-1:] + max(row - LOCAL, 0)]
     beside += [np.flatnonzero(usable[row + 1 : row + 1 + LOCAL, k])[:1] + row + 1]
@@ -415,7 +416,7 @@ def _goes_on(at: Place, samples: Floats, predicted: Sequence[Floats], usable: Bo
 
 
 def _left_over(cause: Sequence[Place], before: Floats, after: Floats) -> Place | None:
-    """The sample nearby that errs most once those of the cause are left out; None if all is well."""
+    """The nearby sample with the largest error after leaving out those of the cause; None if all errors are small."""
     rows = [row for row, _ in cause]
     first, last = max(min(rows) - NEAR, 0), max(rows) + NEAR
     limit = np.maximum(STATES.spike, WORSE * before[first : last + 1])
@@ -456,14 +457,14 @@ def _long_runs(series: ChainSeries) -> Bools:
 
 
 def _at_zero(series: ChainSeries) -> Bools:
-    """Samples of 0, where a channel has none on one side of it."""
+    """Samples of 0 in channels that are nowhere negative, or nowhere positive."""
     samples = series.samples
     one_sided = (np.nan_to_num(samples) >= 0.0).all(axis=0) | (np.nan_to_num(samples) <= 0.0).all(axis=0)
     return np.asarray((samples == 0.0) & one_sided)
 
 
 def _stuck(series: ChainSeries, runs: Bools, calm: ChainSeries, model: KinematicModel) -> Bools:
-    """Those of the long stretches in which a channel should have moved."""
+    """The long stretches of equal samples in which a channel should have moved."""
     out = np.zeros_like(runs)
     if not runs.any():
         return out
@@ -488,7 +489,7 @@ def _stuck(series: ChainSeries, runs: Bools, calm: ChainSeries, model: Kinematic
 
 
 def _clipped(series: ChainSeries, shut: bool) -> Bools:
-    """Samples at an extreme that a channel is clipped at."""
+    """Samples at the levels at which a channel is clipped."""
     out, samples = _nowhere(series), series.samples
     for k in np.flatnonzero(np.isfinite(samples).any(axis=0)):
         values = samples[:, k]

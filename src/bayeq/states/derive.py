@@ -1,7 +1,7 @@
-"""From measured channels to states: what is measured is taken, derivatives that are missing are estimated.
+"""States from measured channels without a smoother (smooth='none', or too few rows for one), and checks of channels.
 
-Measured channels are used as they are. A derivative that is not measured comes from the highest measured one below it
-by central differences.
+Here measured channels are used as they are. A derivative that is not measured is computed from the highest measured one
+below it by central differences.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from bayeq.states.roles import Chain
 
 Smooth = Literal["auto", "band", "none"]
 
-# Fewer rows than this cannot carry a filter.
+# Least number of rows for central differences.
 LEAST_ROWS_TO_DIFFERENTIATE = 5
 
-# Samples beyond, and channels that vary by less than its inverse, have no cubes whose squares are numbers: channels are
-# refused there, as are steps of time beyond a power of it.
+# Channels with samples beyond LARGEST, or that vary by less than its inverse, are refused, since squares of their cubes
+# leave the floating-point range; so are time steps [s] beyond LONGEST_STEP or its inverse.
 LARGEST = 1e50
 LONGEST_STEP = 1e20
 
@@ -57,7 +57,7 @@ def derive_states(record: Record, chains: Sequence[Chain], inputs: Sequence[str]
 
 
 def current(smooth: str) -> Smooth:
-    """How motion is smoothed, by the names of today; an InputError if it is none of these."""
+    """The present name of a smoothing mode ("auto" for "band"); an InputError refuses other texts."""
     if smooth not in get_args(Smooth):
         raise InputError(f"smooth must be one of {', '.join(get_args(Smooth))}, got {smooth!r}")
     if smooth != "band":
@@ -112,7 +112,7 @@ def require_varying(records: Sequence[Record], names: Sequence[str]) -> None:
 
 
 def require_steps(records: Sequence[Record]) -> None:
-    """Raise a RecordError unless the steps of time have powers in floating point, and can be divided by."""
+    """Raise a RecordError if powers of the time steps would leave the floating-point range."""
     for record in records:
         step = record.dt
         if step is not None and not 1 / LONGEST_STEP <= step <= LONGEST_STEP:
@@ -140,7 +140,7 @@ def require_usable(record: Record, names: Sequence[str]) -> None:
             raise UnknownNameError("channel", name, record.names, where=record.name)
     for name in names:
         values = record[name]
-        if values.min() >= -LARGEST and values.max() <= LARGEST:  # not so of NaN
+        if values.min() >= -LARGEST and values.max() <= LARGEST:  # false for NaN
             continue
         record.require_finite(name)
         row = int(np.argmax(np.abs(values)))

@@ -15,8 +15,8 @@ from bayeq.expressions.functions import TIME
 from bayeq.numerics.rk4 import Drive, free_runs, interpolant
 from bayeq.states.roles import Chain, Roles
 
-# A hidden state starts where it would stay under the first samples of what drives it, if it gets there during a time as
-# long as the record: what it moves by in the last tenth of that is less than this share of it. Otherwise at 0.
+# A hidden state starts from its steady state under the first samples of its drivers, if a run as long as the record
+# reaches that: over its last share LAST the state changes by at most a share AT_REST. Otherwise it starts at 0.
 LAST, AT_REST = 0.1, 1e-3
 
 # Runge-Kutta steps between two samples.
@@ -62,7 +62,7 @@ def with_laws(laws: str | Sequence[str], roles: Roles) -> Roles:
 
 
 def _sides(text: str) -> tuple[str, str]:
-    """The state whose rate a law gives, and the law."""
+    """The name of the state whose rate a law gives, and the text of the law."""
     left, equals, right = text.partition("=")
     name = left.strip()
     form = f"law {text[:60]!r}: write the rate of a state and what it is, as in df = (u - f)/{{tau}}"
@@ -77,8 +77,8 @@ def _sides(text: str) -> tuple[str, str]:
 
 
 def hidden_columns(roles: Roles, columns: Mapping[str, Floats], time: Floats | None) -> dict[str, Floats]:
-    """Hidden states and their rates, (n,) each, by columns of what their laws are functions of and time [s]; an
-    InputError where they are not finite."""
+    """Hidden states and their rates, (n,) each, integrated over `time` [s] with the `columns` in their laws;
+    an InputError where they are not finite."""
     states = [name for chain in roles.hidden for name in chain.states]
     laws = [chain.law for chain in roles.hidden if chain.law is not None]
     if time is None:

@@ -30,10 +30,10 @@ class MotionRows:
 
     name: str  # of the record
     time: Floats | None  # [s]
-    # what regressions are made of: states and targets (smoothed, where they were) and inputs, missing ones bridged, and
-    # t where terms use it
+    # data of the regressions: states and targets (smoothed if there was a smoother), inputs with missing samples
+    # bridged, and t where terms use it
     columns: Mapping[str, Floats]
-    observed: Mapping[str, Floats]  # what equations are judged by: targets as measured, or else as in `columns`
+    observed: Mapping[str, Floats]  # targets by which equations are judged: as measured, or else as in `columns`
     samples: Mapping[str, Floats]  # measured channels of the chains, and inputs; NaN where a sample is missing
     known: Bools  # rows with a sample of every channel; the others are bridged
 
@@ -43,7 +43,7 @@ class MotionRows:
 
     @property
     def inside(self) -> slice:
-        """All rows; of a map those from the first with its earlier samples to the last with a next one."""
+        """All rows; for a map, the rows from the first that has its earlier samples to the last that has a next one."""
         if not any(name.endswith(NEXT) for name in self.observed):
             return slice(0, self.n)
         there = np.flatnonzero(self.known)
@@ -65,15 +65,15 @@ class Motion:
     roles: Roles
     records: tuple[MotionRows, ...]  # all rows of each
     cuts: tuple[int, ...]  # the first row of each record that is held out; its number of rows if none is
-    smoothing: tuple[ChainSmoothing, ...]  # how the smoother went over each measured chain; empty if it did not
+    smoothing: tuple[ChainSmoothing, ...]  # how each measured chain was smoothed; empty without a smoother
     unit_gains: tuple[Floats, ...]  # of each chain, (K+1,), see `bayeq.states.sensors`
-    holdout: float  # share of the rows of each record, the last, that is held out
+    holdout: float  # share of the rows of each record, at its end, that is held out
     sensors: Sensors = field(default_factory=Sensors)  # what is known of the channels
-    band: tuple[float, float] | None = None  # frequencies [Hz] in which the records are believed
-    # how inputs go between samples, where not smooth
+    band: tuple[float, float] | None = None  # frequencies [Hz] to which the use of the records is limited
+    # interpolation of inputs between samples, where they are not smooth
     courses: Mapping[str, Interpolation] = field(default_factory=dict)
-    noise_sd: Mapping[str, float] = field(default_factory=dict)  # of channels, in their units, by the likelihood
-    seams: tuple[int, ...] = ()  # where each record was divided to be smoothed; empty if it was not
+    noise_sd: Mapping[str, float] = field(default_factory=dict)  # noise of channels, in their units, by the likelihood
+    seams: tuple[int, ...] = ()  # row at which each record was divided for smoothing; empty if none was
 
     @cached_property
     def train(self) -> tuple[MotionRows, ...]:
@@ -91,7 +91,7 @@ class Motion:
 
     @property
     def whole(self) -> Motion:
-        """The same motion with no rows held out; those that were are smoothed apart."""
+        """The same motion with no rows held out; the `seams` show that those rows were smoothed separately."""
         return replace(self, cuts=tuple(rows.n for rows in self.records), holdout=0.0, seams=self.cuts)
 
     def smoothed_pieces(self, i: int) -> list[slice]:
@@ -107,7 +107,7 @@ class Motion:
 
     @property
     def smoothed(self) -> bool:
-        """Whether there is a path that the likelihood of the record can start from: samples are that of a map."""
+        """Whether the likelihood of the record has a path to start from: smoothed states, or the samples of a map."""
         return bool(self.smoothing) or self.roles.discrete
 
     @property
@@ -133,7 +133,7 @@ def held_out_share(holdout: float, rows: int) -> float:
 
 
 def cut_at(rows: int, share: float) -> int:
-    """The first of some rows that is held out."""
+    """The first row held out, of `rows` rows of which the last `share` is held out."""
     return rows - int(share * rows)
 
 
@@ -150,8 +150,8 @@ def estimate_motion(
     With "auto" the kinematic smoother fuses all measured channels of a chain (`bayeq.states.kinematic`), and missing
     samples are bridged. Where nothing is smoothed, rows with a missing sample are left out; with "none" they are an
     error. Noise levels are learned from the training rows; the rows held out, the last `share` of each record, are
-    smoothed apart. In `band`, frequencies [Hz], records are believed. An UnknownNameError, RecordError or ChainError
-    names channels that are missing or cannot be used.
+    smoothed separately. `band`, frequencies [Hz], limits the use of the records. An UnknownNameError, RecordError or
+    ChainError names channels that are missing or cannot be used.
     """
     whole, sensors = smooth == "none", sensors or Sensors()
     if roles.hidden:
@@ -181,8 +181,8 @@ def estimate_motion(
 
 
 def with_hidden(motion: Motion, roles: Roles) -> Motion:
-    """The motion, with time, with hidden states of the roles: laws without unknown constants, integrated along each
-    record.
+    """The motion with the hidden states of the roles: laws without unknown constants, integrated along each record,
+    which needs time.
 
     An InputError names laws that are not finite along a record.
     """
@@ -207,7 +207,7 @@ def with_paths(motion: Motion, paths: Sequence[Mapping[str, Floats]]) -> Motion:
 
 
 def further_rows(record: Record, motion: Motion) -> MotionRows:
-    """Rows of another record of the same system, prepared as its others were and smoothed as they are in a motion."""
+    """Rows of a further, prepared record of the same system, smoothed with the models of the records in `motion`."""
     roles = motion.roles
     filled = on_grid(record, roles.channels)
     chains = zip(roles.chains, motion.smoothing, strict=True)
@@ -215,7 +215,7 @@ def further_rows(record: Record, motion: Motion) -> MotionRows:
 
 
 def _of_map(record: Record, roles: Roles) -> MotionRows:
-    """Rows of a record from `in_samples`, missing samples bridged, with earlier and next ones beside."""
+    """Rows of a record from `in_samples`, missing samples bridged, with columns of earlier and next samples."""
     record = on_grid(record, roles.channels)
     if record.time is None or (np.diff(record.time) != 1.0).any():
         raise RecordError(f"{record.label}: most samples of a map are missing: give those without gaps, --rows")
@@ -236,12 +236,12 @@ def _of_map(record: Record, roles: Roles) -> MotionRows:
     return MotionRows(record.name, record.time, columns, observed, samples, known)
 
 
-# Samples before and after a missing one that are compared with those around others.
+# Neighbours of a missing sample, by rows back, that are compared with the same neighbours of other samples.
 AROUND = (2, 1, -1, -2)
 
 
 def likened(channels: Sequence[Floats]) -> list[Floats]:
-    """Channels with missing samples taken from where those around were most alike: maps may be anywhere."""
+    """Channels with missing samples taken from the row with the most similar neighbours, since maps may jump."""
     samples = np.column_stack(channels)
     scale = np.nanstd(samples, axis=0)
     around = np.hstack([np.column_stack([_moved(column, back) for column in samples.T]) for back in AROUND])
@@ -257,7 +257,7 @@ def likened(channels: Sequence[Floats]) -> list[Floats]:
 
 
 def _moved(values: Floats, back: int) -> Floats:
-    """The sample so far back at each row, or ahead where that is negative; NaN where there is none."""
+    """The channel delayed by `back` samples (advanced if negative), padded with NaN."""
     return np.pad(values, abs(back), constant_values=np.nan)[abs(back) - back :][: len(values)]
 
 
@@ -267,7 +267,7 @@ def _smoothed(
     """Rows by the kinematic smoother; None where records are taken as measured."""
     timed = all(record.time is not None for record in records)
     wanted = timed and smooth != "none"
-    # what is checked is checked before the work
+    # check channels before the smoothing, which takes longer
     whole = [chain for chain in roles.chains if chain.lowest == 0]
     present = records if smooth == "none" else [bridged_record(record, roles) for record in records]
     for record in present:
@@ -282,7 +282,7 @@ def _smoothed(
     try:
         found = [smooth_chain(filled, chain, cuts, sensors) for chain in roles.chains]
     except RecordError:
-        if integrated:  # which only the smoother can do
+        if integrated:  # only the smoother can integrate
             raise
         return None
     pieces = (_smoothed_rows(record, roles, [means[i] for means, _ in found]) for i, record in enumerate(filled))
@@ -294,7 +294,7 @@ def _smoothed_rows(record: Record, roles: Roles, means: Sequence[Floats]) -> Mot
     assert record.time is not None
     columns = {name: filled_in(record.time, record[name]) for name in roles.inputs}
     for chain, values in zip(roles.chains, means, strict=True):
-        if chain.static:  # no motion: it may jump
+        if chain.static:  # its target is no motion and may jump
             columns[chain.target] = filled_in(record.time, record[chain.target])
             continue
         columns.update((name, np.ascontiguousarray(own)) for name, own in zip(chain.names, values.T, strict=True))
@@ -321,7 +321,7 @@ def _rows(record: Record, roles: Roles, columns: Mapping[str, Floats]) -> Motion
 
 
 def _require_integrable(records: Sequence[Record], chain: Chain, smooth: Smooth) -> None:
-    """Check the channels of a chain whose coordinate is not measured; one that has its name is not used."""
+    """Check the channels of a chain whose coordinate is not measured, and that it can be integrated."""
     for record in records:
         require_usable(record, [name for name in chain.measured if name is not None])
     where = records[0].label
@@ -336,14 +336,14 @@ def _require_integrable(records: Sequence[Record], chain: Chain, smooth: Smooth)
         raise ChainError(f"{where}: chain {str(chain)!r} has to be integrated, which needs {lacking}")
 
 
-# A filter is fitted to this many rows for each sample that it takes in, at least; more than this many are not needed.
+# A filter is fitted to at least ROWS_PER_SAMPLE rows for each of its taps; more than MOST_ROWS rows are not needed.
 ROWS_PER_SAMPLE = 10
 MOST_ROWS = 20_000
 
-# Noise smaller than this share of a channel is not told from rounding.
+# Noise smaller than this share of a channel cannot be distinguished from rounding.
 ROUNDING_NOISE = 1e-4
 
-# Directions of neighbouring samples smaller than this share of the largest are rounding.
+# Eigenvalues of the covariance of neighbouring samples smaller than this share of the largest are rounding.
 ROUNDING = 1e-13
 
 # Differences of this order are mostly noise.
@@ -355,7 +355,7 @@ def measured_apart(
 ) -> tuple[tuple[Chain, ...], list[str]]:
     """The chains without channels that were computed from a lower one, and a message for each chain that has some.
 
-    Such channels keep their names and are to be estimated. The last `share` of the rows says nothing of noise levels.
+    Such channels keep their names and are to be estimated. Noise levels are learned without the last `share` of rows.
     """
     out, messages = [], []
     for chain in chains:
@@ -395,7 +395,7 @@ def _computed(records: Sequence[Record], chain: Chain, share: float) -> list[int
             suspected.append((k, *fitted))
     if not suspected:
         return []
-    # the noise of the lowest channel as it is known alone
+    # the noise of the lowest channel, estimated from it alone
     try:
         lowest = tuple(name if name == source else None for name in chain.measured)
         _, alone = smooth_chain(even, Chain(lowest), cuts)
@@ -408,14 +408,14 @@ def _computed(records: Sequence[Record], chain: Chain, share: float) -> list[int
 
 
 def _rough_noise(pieces: Sequence[Floats]) -> float:
-    """Standard deviation of white noise, if differences of a high order held nothing else: an upper bound."""
+    """Upper bound of the standard deviation of white noise: differences of a high order are taken as noise alone."""
     differences = np.concatenate([np.diff(piece, DIFFERENCES) for piece in pieces])
     known = differences[np.isfinite(differences)]
     return float(np.sqrt(np.mean(known**2) / comb(2 * DIFFERENCES, DIFFERENCES))) if len(known) else 0.0
 
 
 def _filter(records: Sequence[Record], cuts: Sequence[int], source: str, name: str) -> tuple[float, float] | None:
-    """Least-squares filter between channels: sd of what it leaves, gain for white noise; None of too few rows."""
+    """Least-squares filter from one channel to another: sd of the residual, gain for white noise; None: few rows."""
     blocks, targets = [], []
     rows = 0
     for record, cut in zip(records, cuts, strict=True):

@@ -1,4 +1,4 @@
-"""Records as all stages take them: without bad samples, on a uniform grid, missing samples bridged or a gap of time."""
+"""Records prepared for all stages: without bad samples, on a uniform grid, missing samples bridged or left as gaps."""
 
 from __future__ import annotations
 
@@ -22,36 +22,36 @@ from bayeq.states.kinematic.smoother import ChainSeries, smooth_kinematic
 from bayeq.states.roles import Roles
 from bayeq.states.sensors import Sensors, bridged
 
-# Fewer rows with all channels are no record.
+# Least number of rows with a sample of every channel.
 LEAST_USABLE = 10
 
 # Stretches of more than this many rows without an input, or without any sample of the chains, become gaps of time: the
 # record is divided at those that are too long to be bridged.
 SHORT = 2
 
-# A record on a grid lacks no more than this share of its samples.
+# A record is put on a grid if at most this share of the grid's samples is missing.
 MOST_MISSING = 0.4
 
-# Times that are multiples of such a power of ten may have been rounded to it, which moves them by half of it at most;
-# the grid fitted to them may be off by a little more.
+# Times may have been rounded to one of these numbers of decimals, which moves them by at most half a unit of the last;
+# ROUNDED_BY units allow for the error of the fitted grid.
 DECIMALS = range(1, 10)
 ROUNDED_BY = 0.6
 
-# ... and are such multiples if they are off by a smaller share of it.
+# Times count as rounded to a number of decimals if they are off by at most this share of a unit of the last.
 SAME_DECIMALS = 1e-6
 
-# Steps that count as one when the grid's own is sought, as shares of the median.
+# Steps between these multiples of the median count as single steps of the grid.
 SINGLE = (0.5, 1.5)
 
 
 def cleaned(
     records: Sequence[Record], roles: Roles, smooth: Smooth, learned: Learned | None = None
 ) -> tuple[list[Record], list[str]]:
-    """The records of one system, row by row, with NaN in place of bad samples; with "none" as they are.
+    """The records of one system with NaN in place of bad samples (unchanged with "none"), and messages.
 
-    And a message for each channel of which samples are missing or left out, judged by what was `learned` of other
-    records. An UnknownNameError or RecordError names channels that are missing, or mostly infinite or too large to
-    square.
+    There is a message for each channel of which samples are missing or left out. Samples are judged by the models
+    `learned` from other records, if given. An UnknownNameError or RecordError names channels that are missing, or
+    mostly infinite or too large to square.
     """
     if smooth == "none":
         return list(records), []
@@ -59,21 +59,21 @@ def cleaned(
     records, impossible = without_impossible(records, roles.channels)
     for record in records:
         require_usable(bridged_record(record, roles), roles.channels)
-    if roles.discrete:  # whose samples may be anywhere from one to the next
+    if roles.discrete:  # samples of a map may jump
         return records, [*missing, *impossible]
     found, bad = without_bad_samples(records, roles, learned)
     return found, [*missing, *impossible, *bad]
 
 
 def without_impossible(records: Sequence[Record], names: Sequence[str]) -> tuple[list[Record], list[str]]:
-    """Records with NaN in place of infinite samples and those too large to square, unless most are; what to say."""
+    """Records with NaN in place of infinite samples and those too large to square, unless most are; and messages."""
     out, messages = [], []
     for record in records:
         where = f"{record.label}: " if len(records) > 1 else ""
         changed = {}
         for name in names:
             values = record[name]
-            bad = np.abs(values) > LARGEST  # not so of NaN
+            bad = np.abs(values) > LARGEST  # false for NaN
             if 0 < bad.sum() < 0.5 * np.isfinite(values).sum():
                 changed[name] = np.where(bad, np.nan, values)
                 what = f"infinite or beyond {LARGEST:g} ({listed(bad)}): taken as missing"
@@ -83,7 +83,7 @@ def without_impossible(records: Sequence[Record], names: Sequence[str]) -> tuple
 
 
 def divided_at_gaps(records: Sequence[Record], roles: Roles, smooth: Smooth) -> tuple[list[Record], list[str]]:
-    """Cleaned records in pieces without long gaps, whole with "none", and a message for each that had some."""
+    """Cleaned records divided at long gaps, whole with "none", and a message for each record with such gaps."""
     if smooth == "none":
         return list(records), []
     return split_at_gaps(without_empty_rows(records, roles), roles.channels)
@@ -131,7 +131,7 @@ def complete_rows(record: Record, roles: Roles) -> Record:
 def without_empty_rows(records: Sequence[Record], roles: Roles) -> list[Record]:
     """The records without stretches of more than two rows that lack all chains or an input, which leaves a gap in time.
 
-    Without time there is nothing to bridge by: rows without a sample of every channel go.
+    A record without time loses all rows that lack a channel, because missing samples cannot be bridged.
     """
     out = []
     for record in records:
@@ -146,13 +146,13 @@ def without_empty_rows(records: Sequence[Record], roles: Roles) -> list[Record]:
 
 
 def _long(missing: Bools) -> Bools:
-    """Stretches of more than two."""
+    """The rows in stretches of more than `SHORT` missing samples, (n,)."""
     starts, lengths = equal_runs(missing)
     return np.repeat(missing[starts] & (lengths > SHORT), lengths)
 
 
 def bridged_record(record: Record, roles: Roles, most: float = 1.0) -> Record:
-    """The record with straight lines over missing samples, of channels that lack no more than a share of theirs."""
+    """The record with straight lines over missing samples, in channels that lack at most a share `most` of theirs."""
     changed = {
         name: bridged(values)
         for name in roles.channels
@@ -164,7 +164,7 @@ def bridged_record(record: Record, roles: Roles, most: float = 1.0) -> Record:
 
 
 def inputs_filled(record: Record, inputs: Sequence[str]) -> Record:
-    """The record with missing samples of inputs filled in, of which a free run needs every one.
+    """The record with missing samples of inputs filled in, because a free run needs every sample of an input.
 
     A RecordError refuses a gap longer than half the shortest period, at which `discover` would divide the record, or at
     an end.
@@ -212,10 +212,10 @@ def on_grid(record: Record, names: Sequence[str]) -> Record:
 
 
 def corrected(record: Record, sensors: Sensors, whole: bool = False) -> Record:
-    """The record with the factors and lags of its channels that were learned taken out, by band-limited interpolation.
+    """The record corrected for the learned factors and lags of its channels, the lags by band-limited interpolation.
 
-    Rows at an end of which a channel then has no sample lack it; with `whole` they repeat the nearest one. A
-    RecordError says that time is uneven, but for rows that are missing, or a lag as long as the record.
+    Samples that a channel then lacks at an end are NaN; with `whole` they repeat the nearest sample. A RecordError
+    refuses uneven time, apart from missing rows, and a lag as long as the record.
     """
     known = [name for name in sensors.gains if name in record.channels]
     record = with_samples(record, {name: record[name] / sensors.gains[name].value for name in known})
@@ -238,7 +238,7 @@ def corrected(record: Record, sensors: Sensors, whole: bool = False) -> Record:
 
 
 def filled_in(time: Floats, samples: Floats) -> Floats:
-    """Samples with missing ones interpolated; a spline through noisy samples would overshoot in a gap."""
+    """Samples with missing ones by the kinematic smoother; a spline through noisy samples would overshoot in a gap."""
     if np.isfinite(samples).all():
         return samples
     series = ChainSeries(time, (samples,))
@@ -251,12 +251,12 @@ def filled_in(time: Floats, samples: Floats) -> Floats:
 
 
 def fitted_grid(time: Floats) -> tuple[Ints, float, float]:
-    """Number of each sample on a grid that begins with the first, and its begin and step."""
+    """Number of each sample on an even grid that begins with the first; start and step of the grid."""
     steps = np.diff(time)
     median = float(np.median(steps))
     single = steps[(steps > SINGLE[0] * median) & (steps < SINGLE[1] * median)]
     index = np.append(0, np.cumsum(np.round(steps / single.mean()).astype(np.int64)))
-    # once more with the grid of all samples, which a long gap asks for
+    # once more with the grid fitted to all samples, for the numbers beyond a long gap
     start, step = _fitted(time, index)
     again = np.round((time - start) / step).astype(np.int64)
     index = again - again[0]
@@ -264,7 +264,7 @@ def fitted_grid(time: Floats) -> tuple[Ints, float, float]:
 
 
 def _fitted(time: Floats, index: Ints) -> tuple[float, float]:
-    """Begin and step of the grid, by least squares."""
+    """Start and step of the grid, by least squares."""
     centre = index - index.mean()
     step = float(centre @ time / (centre @ centre))
     return float(time.mean() - step * index.mean()), step
@@ -286,8 +286,8 @@ OFF_GRID = 0.1
 
 
 def numbered(records: Sequence[Record], names: Sequence[str]) -> list[Record]:
-    """The records with inputs run2, run3 that number them, unless they have these; an InputError refuses another
-    number of records than the equations are of."""
+    """The records with inputs run2, run3 that number them, unless they have these; an InputError refuses a number of
+    records that differs from that of the equations."""
     if all(name in record.channels for record in records for name in names):
         return list(records)
     if len(records) != len(names) + 1:
@@ -304,7 +304,7 @@ def numbered(records: Sequence[Record], names: Sequence[str]) -> list[Record]:
 def in_samples(record: Record, roles: Roles) -> Record:
     """The record with the number of the sample as time, and with earlier samples of inputs as channels of their own.
 
-    Those before the record are like the first one of the input. A RecordError refuses uneven steps of time.
+    Samples before the record repeat the first one of the input. A RecordError refuses uneven steps of time.
     """
     time = np.arange(record.n, dtype=np.float64)
     if record.time is not None and record.n > 2:
@@ -332,28 +332,28 @@ def in_samples(record: Record, roles: Roles) -> Record:
 
 # --- hum -------------------------------------------------------------------------------------------------------------
 
-# ... and this share of the channel's power: less is nothing, which channels without noise have much of.
+# A line has at least this share of the channel's power: less, in channels without noise, is rounding.
 LEAST = 1e-6
 
-# Bins on either side, without the nearest, which a line reaches with Hann's window.
+# Bins on either side that a line is compared with, beyond the LOBE nearest, over which Hann's window spreads the line.
 BESIDE, LOBE = 50, 3
 
-# Lines of a record, at most: one whose amplitude varies takes several. Shorter records have one in ROWS_EACH rows.
+# Largest number of lines in a record (one of varying amplitude takes several); in short records one in ROWS_EACH rows.
 MOST_LINES, ROWS_EACH = 20, 100
 
 # Lines that a message lists.
 SHOWN = 6
 
-# Turns of the refinement of a frequency between bins.
+# Iterations of the refinement of a frequency between bins.
 TURNS = 40
 
 
 def without_hum(
     records: Sequence[Record], names: Sequence[str], low: float, high: float
 ) -> tuple[list[Record], list[str]]:
-    """Some channels of records without the lines that stand out of their spectra above what is believed, and a message.
+    """Channels of records without the lines that stand out of their spectra above the band, and a message.
 
-    `low` and `high` are frequencies [Hz]. A RecordError refuses records that are not sampled evenly, or too slowly.
+    The band is from `low` to `high` [Hz]. A RecordError refuses records that are not sampled evenly, or too slowly.
     """
     found, heard = [], set[float]()
     for record in records:
@@ -378,7 +378,7 @@ def without_hum(
 
 
 def _without_lines(values: Floats, above: float) -> tuple[Floats, list[float]]:
-    """Channels (n, M) without what they have at the frequencies of lines, and these [cycles per sample]."""
+    """Channels (n, M) without their components at the frequencies of lines; these frequencies [cycles per sample]."""
     known, rows = np.isfinite(values), np.arange(len(values), dtype=np.float64)
     window, rest, lines = np.hanning(len(values) + 2)[1:-1], values, list[float]()
     while len(lines) < min(MOST_LINES, len(values) // ROWS_EACH):
@@ -399,7 +399,7 @@ def _without_lines(values: Floats, above: float) -> tuple[Floats, list[float]]:
         basis = np.hstack([both, np.linspace(-1.0, 1.0, len(rows))[:, None] * both, np.ones((len(rows), 1))])
         rest = np.empty_like(values)
         for i, seen in enumerate(known.T):
-            # with the window, or what is slow and strong would leave a trace at the lines
+            # weighted by the window, so that slow, strong motion does not leak into the lines
             weight = window[seen, None]
             fitted = np.linalg.lstsq(weight * basis[seen], weight[:, 0] * values[seen, i])[0]
             rest[:, i] = values[:, i] - basis[:, :-1] @ fitted[:-1]

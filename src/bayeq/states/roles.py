@@ -16,13 +16,13 @@ from bayeq.records.names import channel_name
 
 MAX_ORDER = 4
 
-# Names of channels are no longer [characters], as terms are not.
+# Longest name of a channel [characters], like that of a term.
 LONGEST = 1000
 
-# What stands before the target of a static law.
+# Prefix of the target of a static law.
 STATIC = "="
 
-# What stands behind the name of a channel for its next sample, the target of a map.
+# Suffix of the name of a channel for its next sample, the target of a map.
 NEXT = "[+1]"
 
 _MAP = re.compile(r"(?:~\w+\[-\d+\]:)*(?P<name>\w+):~\w+\[\+1\]")
@@ -47,28 +47,28 @@ class Chain:
     >>> parse_chain("x:~v:~a").names, parse_chain("~q::a").names
     (('x', 'v', 'a'), ('q', 'dq', 'a'))
 
-    A quantity that is no derivative, of which a static law tells, is a chain of order 0:
+    The target of a static law, which is no derivative, is a chain of order 0:
 
     >>> parse_chain("=F").order, parse_chain("=F").target, parse_chain("=F").states
     (0, 'F', ())
 
-    Earlier samples of a channel stand in place of derivatives where the equation is a map, which gives the next one:
+    For a map, whose equation gives the next sample, earlier samples of the channel take the place of derivatives:
 
     >>> chain_of_map("x", 1).names, str(chain_of_map("x", 1))
     (('x[-1]', 'x', 'x[+1]'), '~x[-1]:x:~x[+1]')
     """
 
     measured: tuple[str | None, ...]  # the channel that measures each derivative, from order 0 up; None where none does
-    called: tuple[str | None, ...] = ()  # names of derivatives that are not measured, where they have one of their own
+    called: tuple[str | None, ...] = ()  # given names of derivatives that are not measured, None without one
     law: Expression | None = None  # rate of a hidden state, with constants that may be unknown
-    found: bool = False  # whether terms of a dictionary were found to be its law, which was not stated
+    found: bool = False  # whether the law was found from the terms of a dictionary, and not stated
 
     def with_law(self, law: Expression) -> Chain:
         """The chain with another law."""
         return replace(self, law=law)
 
     def with_found(self, parts: Iterable[tuple[float, Expression]]) -> Chain:
-        """The chain of a hidden state whose law was found: coefficients and terms."""
+        """The chain of a hidden state with the law that was found, from pairs of coefficient and term."""
         law = Expression(total([product(number(factor), term.tree) for factor, term in parts]))
         return replace(self, law=law, found=True)
 
@@ -84,7 +84,7 @@ class Chain:
 
     @property
     def order(self) -> int:
-        """The highest derivative, the one that the equation gives."""
+        """Order of the highest derivative, which the equation gives."""
         return len(self.measured) - 1
 
     @property
@@ -99,27 +99,27 @@ class Chain:
 
     @property
     def lowest(self) -> int:
-        """The lowest derivative that is measured; 0 of a hidden state."""
+        """Order of the lowest measured derivative; 0 for a hidden state."""
         return next((k for k, name in enumerate(self.measured) if name is not None), 0)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the derivatives: the channel's, its own, or x, ``dx``, ``ddx`` ... where not measured."""
+        """Names of the derivatives: that of the channel, the given one, or else x, ``dx``, ``ddx`` ..."""
         base = self.own_name(0) or COORDINATE
         return tuple(self.own_name(k) or "d" * k + base for k in range(len(self.measured)))
 
     def own_name(self, k: int) -> str | None:
-        """Name of a derivative that is not made from the coordinate's."""
+        """Name of derivative k by its channel, or as given; None if it is made from the coordinate's name."""
         return self.measured[k] or (self.called[k] if self.called else None)
 
     @property
     def states(self) -> tuple[str, ...]:
-        """All but the highest derivative."""
+        """Names of all derivatives but the highest."""
         return self.names[:-1]
 
     @property
     def target(self) -> str:
-        """The highest derivative."""
+        """Name of the highest derivative."""
         return self.names[-1]
 
     def __str__(self) -> str:
@@ -187,7 +187,7 @@ def parse_chain(text: str) -> Chain:
 
 
 def _named(part: str) -> str:
-    """A channel by its name or its header, and the mark of one that is not measured."""
+    """The name in a part of a chain, which may be a channel's header, with the ``~`` of one that is not measured."""
     mark = "~" if part.strip().startswith("~") else ""
     return mark + channel_name(part.strip().removeprefix("~"))
 
@@ -220,7 +220,7 @@ def parse_chains(texts: Sequence[str], inputs: Sequence[str] = ()) -> tuple[Chai
 
 
 def _named_by_channel(chain: Chain) -> Chain:
-    """The chain with a name of its own for a coordinate that has none."""
+    """The chain with a coordinate named after the lowest measured channel, unless it has a name."""
     if chain.own_name(0) is not None:
         return chain
     others = chain.called[1:] or (None,) * chain.order
@@ -306,7 +306,7 @@ class Roles:
 
     @property
     def seen(self) -> Roles:
-        """The same without hidden states."""
+        """The roles without hidden states."""
         return self.with_chains([chain for chain in self.chains if not chain.hidden])
 
     @property
@@ -326,12 +326,12 @@ class Roles:
 
     @property
     def measured(self) -> tuple[str, ...]:
-        """Channels of the chains."""
+        """Measured channels of the chains."""
         return tuple(name for chain in self.chains for name in chain.measured if name is not None)
 
     @property
     def compared(self) -> tuple[str, ...]:
-        """Channels that others of their chain tell of: by one alone its factor is not known."""
+        """Channels of chains with more than one channel: the factors of these can be estimated from each other."""
         chains = ([name for name in chain.measured if name is not None] for chain in self.chains)
         return tuple(name for names in chains if len(names) > 1 for name in names)
 
@@ -347,19 +347,19 @@ class Roles:
 
     @property
     def variables(self) -> tuple[str, ...]:
-        """What laws are functions of: the states, or the inputs where there are only static laws."""
+        """Arguments of the laws: the states, or the inputs where there are only static laws."""
         return self.states or self.inputs
 
     @property
     def drivers(self) -> tuple[str, ...]:
-        """What terms may use beside the states: the inputs, and t where it is used."""
+        """Variables of terms other than the states: the inputs, and t where terms use it."""
         return (*self.inputs, TIME) if self.timed else self.inputs
 
     def for_terms(self, terms: Iterable[Expression]) -> Roles:
-        """The same with the time as a variable where terms use it, unless a channel has its name.
+        """The roles with t, the time, as a variable if terms use it, unless a channel has that name.
 
-        Of maps also with the earlier samples that they use. An InputError refuses a map with the time, or with samples
-        that are too early.
+        Roles of maps also get the earlier samples that terms use. An InputError refuses a map with the time, or with
+        samples that are too early.
         """
         names = {name for term in terms for name in term.names}
         timed = TIME not in self.names and TIME in names
@@ -386,7 +386,7 @@ class Roles:
 
 
 def _static(target: str | Sequence[str] | None, inputs: Sequence[str]) -> list[str]:
-    """Static laws of some targets, several of them in one text divided by commas."""
+    """Chains of static laws, one for each target; a text may give several targets, divided by commas."""
     if target is None:
         return []
     require_texts(target, "target")

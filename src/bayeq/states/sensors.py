@@ -1,4 +1,4 @@
-"""Sensors of a chain: offsets, gains, lags, and units: v in m/s beside x in mm is 0.001 times dx/dt.
+"""Sensors of a chain: noise, gains, lags, and units: v in m/s with x in mm is 0.001 times dx/dt.
 
 Where both units are stated their ratio is exact. Otherwise it is estimated from the spectra.
 """
@@ -23,13 +23,13 @@ from bayeq.states.roles import Chain, Roles
 
 Tails = Literal["gauss", "student"]
 
-# Noise of nothing, as a share of the standard deviation of a channel: the smoother divides by it.
+# Noise of a channel said to have none, as a share of its standard deviation: the smoother divides by noise.
 LEAST_SHARE = 1e-5
 
-# Of a force that a window has made zero between blows the blows are less than this share of the samples.
+# A force counts as blows, made zero between them by a window, if less than this share of its samples is not zero.
 MOST_IN_BLOWS = 0.5
 
-# Lags of a larger standard deviation, as a share of the longest record, are taken for a mistake.
+# A larger standard deviation of a lag, as a share of the longest record, is taken for a mistake.
 MOST_LAG = 0.1
 
 _FORMS = {
@@ -42,11 +42,11 @@ _FORMS = {
 
 @dataclass(frozen=True)
 class _Learned:
-    """A number of a channel that the record tells."""
+    """A calibration parameter of a channel, estimated from the record."""
 
-    value: float  # the likeliest
+    value: float  # estimate
     sd: float  # its standard deviation
-    prior_sd: float  # what was given: the standard deviation of its normal prior
+    prior_sd: float  # standard deviation of its normal prior, as given
 
     unit: ClassVar[str] = ""
 
@@ -57,36 +57,36 @@ class _Learned:
 
 @dataclass(frozen=True)
 class Gain(_Learned):
-    """The factor of a channel, about 1: its sample is that many times what it measures."""
+    """The factor of a channel, about 1: a sample is this factor times the measured quantity."""
 
 
 @dataclass(frozen=True)
 class Lag(_Learned):
-    """How late a channel is: its sample at time t is of time t less the lag [s], negative of one that is early."""
+    """The delay of a channel [s]: its sample at time t belongs to time t less the lag; negative if it is early."""
 
     unit: ClassVar[str] = " s"
 
 
 @dataclass(frozen=True)
 class Sensors:
-    """What is known of channels, by their names."""
+    """Known properties of the sensors of channels, by channel name."""
 
-    # standard deviation of the noise in the channel's unit, where it was given; of noise in proportion to the reading
-    # its root mean square
+    # standard deviation of the noise in the channel's unit, where it was given; for noise in proportion to the reading,
+    # the root mean square of that noise
     noise: Mapping[str, float] = field(default_factory=dict)
     gain_sd: Mapping[str, float] = field(default_factory=dict)  # sd of the factor of a sensor, 0.01 for 1 %
     tails: Tails = "gauss"  # of the noise: normal, or Student's t, whose tails are heavier
-    lags: Mapping[str, Lag] = field(default_factory=dict)  # of channels that may be late
-    # share of noise that is in proportion to what is measured; 0 where it is to be learned
+    lags: Mapping[str, Lag] = field(default_factory=dict)  # lags of channels that may be late
+    # noise in proportion to the reading, as a share of it; 0 where that is to be learned
     of_reading: Mapping[str, float] = field(default_factory=dict)
-    gains: Mapping[str, Gain] = field(default_factory=dict)  # factors that other channels of a chain tell
+    gains: Mapping[str, Gain] = field(default_factory=dict)  # factors estimated from other channels of the chain
 
     def gain(self, name: str) -> Gain:
-        """What is known of the factor of a channel of `gain_sd`."""
+        """The estimated factor of a channel in `gain_sd`; without an estimate its prior."""
         return self.gains.get(name, Gain(1.0, self.gain_sd[name], self.gain_sd[name]))
 
     def noisy(self, name: str) -> bool:
-        """Whether noise was given that is not zero."""
+        """Whether noise other than zero was given for a channel."""
         return self.noise.get(name, 0.0) > 0.0 or name in self.of_reading
 
 
@@ -96,7 +96,7 @@ def check_sensors(
     roles: Roles,
     lag_sd: Mapping[str, float | str],
 ) -> None:
-    """Refuse what cannot be used: a channel without a part (UnknownNameError), a value out of range (InputError)."""
+    """Raise an UnknownNameError for a channel without a role, an InputError for a value out of range."""
     known = roles.channels
     for what, given in (("noise", noise), ("gain_sd", gain_sd), ("lag_sd", lag_sd)):
         require_mapping(given, what)
@@ -114,7 +114,7 @@ def known_sensors(
     tails: Tails = "gauss",
     lag_sd: Mapping[str, float | str] | None = None,
 ) -> Sensors:
-    """What was given of the channels of some records, in their units; an InputError refuses noise beyond these."""
+    """`Sensors` from a user's values, in units of the records; an InputError refuses too large noise and lags."""
     used = roles.channels
     levels, readings = dict[str, float](), dict[str, float]()
     gains = {name: _amount("gain_sd", name, v)[0] for name, v in gain_sd.items() if name in used}
@@ -140,7 +140,7 @@ def known_sensors(
             )
         blows = force_of_blows(name, records) if name in roles.inputs else None
         if blows is not None and levels[name]:
-            # noise of a few rows acts as a factor of the force, and between blows there is none
+            # noise in the few rows of a blow acts like a factor of the force, and between blows there is none
             gains[name] = math.hypot(gains.get(name, 0.0), levels[name] / math.sqrt(float(blows @ blows)))
             levels[name] = 0.0
     late = {name: _amount("lag_sd", name, v)[0] for name, v in (lag_sd or {}).items() if name in used}
@@ -155,7 +155,7 @@ def known_sensors(
 
 
 def force_of_blows(name: str, records: Sequence[Record]) -> Floats | None:
-    """Samples of blows, of a force that a window has made 0 between them; None of any other channel."""
+    """The samples of a force that are not 0, if a window has made it 0 between blows; None for any other channel."""
     values = np.concatenate([np.asarray(record[name]) for record in records])
     values = values[np.isfinite(values)]
     blows = values[values != 0.0]
@@ -165,7 +165,7 @@ def force_of_blows(name: str, records: Sequence[Record]) -> Floats | None:
 
 
 def share_of_reading(value: float | str) -> str | None:
-    """The share of ``"5% of reading"``, 0 where none is given; None of other amounts."""
+    """The share in ``"5% of reading"`` as text, 0 % where none is given; None for other amounts."""
     share, words, rest = value.partition("of reading") if isinstance(value, str) else ("", "", "")
     if not words or rest.strip():
         return None
@@ -202,22 +202,22 @@ def scaled_with(chains: Sequence[Chain], channel: str) -> tuple[str, ...]:
     return tuple(out)
 
 
-# An estimate is made from the strongest lines of the spectra: those above this share of the largest, but at most this
-# share of the rows, and at least this many. They show one motion if one channel tells more than a share COHERENT of the
-# other's power: where a channel is proportional to the other instead of its derivative, white spectra give 5/9.
+# An estimate is made from the strongest lines of the spectra: those above a share STRONG of the largest, at most
+# SHARE_OF_LINES times the rows, at least LEAST_LINES. They show one motion if one channel explains more than a share
+# COHERENT of the other's power: where it is proportional to the other, not to its derivative, white spectra give 5/9.
 STRONG = 0.1
 SHARE_OF_LINES = 1 / 100
 LEAST_LINES = 5
 COHERENT = 0.7
 
-# More rows of a record are not needed: a thousand lines tell any factor.
+# More rows of a record are not needed: a thousand lines determine any factor.
 MOST_ROWS = 100_000
 
-# Independent lines among those of a Hann window's transform.
+# Share of independent lines in the transform of a Hann window.
 INDEPENDENT = 2 / 3
 
-# Errors that count: this many standard errors; what calibration and filters leave of the best estimate; and in
-# records of n rows, without any noise, this over n for the ends of the window.
+# Error of an estimate: SIGNIFICANT standard errors; at least LEAST_ERROR, because of calibration and filters; and in
+# records of n rows at least ENDS / n, because of the ends of the window.
 SIGNIFICANT = 4.0
 LEAST_ERROR = 0.005
 ENDS = 2.0
@@ -226,7 +226,7 @@ ENDS = 2.0
 # about this many times their share, for peaks are three standard deviations high.
 CUT_OFF = 9.0
 
-# An estimate is used if its error is a smaller factor than exp of this.
+# An estimate is used if the error of its logarithm is at most this.
 MOST_ERROR = 1.0
 
 # Ratios of units that are mixed without being stated, the most plausible first: none; prefixes; accelerations in g with
@@ -237,7 +237,7 @@ IN_G = (1.0 / GRAVITY, 1e-3 / GRAVITY, 1e-6 / GRAVITY, 1e-2 / GRAVITY)
 ANGLES = tuple(factor**sign for factor in (math.pi / 180.0, 2.0 * math.pi) for sign in (1, -1))
 OTHERS = tuple(10.0**k for k in range(-18, 19))
 
-# Factors between two channels below this are of no units.
+# A factor between two channels below this cannot be due to units.
 UNLIKE = 2.0
 
 # Orders of derivatives that can be compared: the window's own derivatives are written out up to here.
@@ -260,7 +260,7 @@ def rates(chain: Chain, gains: Sequence[float]) -> tuple[float, ...]:
 
 
 def of_no_unit(chain: Chain, gains: Sequence[float], units: Mapping[str, str]) -> tuple[str, str, float] | None:
-    """A channel, one below it, and by how much the first is too large for its derivative, if no unit tells why."""
+    """A channel, a lower one, and the factor of the first to the derivative of the second, if no unit explains it."""
     measured = [(k, name) for k, name in enumerate(chain.measured[: len(gains)]) if name is not None]
     for place, (k, name) in enumerate(measured[1:], 1):
         found = []
@@ -282,8 +282,9 @@ def unit_gains(
 ) -> Floats:
     """Factor of each derivative's channel to the derivative in the unit that the lowest measured one implies, (K+1,).
 
-    That of a channel below where it is not measured; negative for the opposite sign. It is learned from the first
-    `rows` of each record, by default all. What the factors of sensors, off by `gain_sd`, may explain is no unit.
+    A derivative that is not measured has the factor of the one below it; factors are negative for the opposite sign.
+    They are learned from the first `rows` of each record, by default all. A factor that errors of calibration,
+    `gain_sd`, may explain is not taken for one of units.
     """
     cuts = [record.n for record in records] if rows is None else list(rows)
     gains, gain_sd = np.ones(chain.order + 1), gain_sd or {}
@@ -315,7 +316,7 @@ def _stated(records: Sequence[Record], below: str, above: str, order: int) -> fl
 
 class _Estimate(NamedTuple):
     gain: float
-    # of ln |gain|, as far as it counts
+    # allowed error of ln |gain|
     error: float
 
     def distance(self, gain: float) -> float:
@@ -337,9 +338,9 @@ def _decided(stated: float | None, found: _Estimate | None, acceleration: bool) 
 def _estimated(records: Sequence[Record], cuts: Sequence[int], below: str, above: str, order: int) -> _Estimate | None:
     """The ratio of the strongest lines of both spectra; None where they do not show one motion.
 
-    Regressed on one channel the ratio is too small by the noise of that one, on the other too large by that of the
-    other: the estimate is their geometric mean, and the noise leaves it undecided between them. Its random error is
-    that of a frequency response (Bendat and Piersol 2010, section 9.2).
+    By regression on one channel the ratio is too small because of that channel's noise, on the other too large: the
+    estimate is the geometric mean of both, and its error covers both. Its random error is that of a frequency response
+    (Bendat and Piersol 2010, section 9.2).
     """
     if order > MOST_ORDER:
         return None

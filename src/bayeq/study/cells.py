@@ -1,4 +1,4 @@
-"""Benchmarks that others have set: cells of records, whose outcomes an SQLite file keeps as they are made."""
+"""Published benchmarks: cells of simulated records, with outcomes stored in an SQLite file as they are computed."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from bayeq.expressions import parse
 from bayeq.resumable.store import MAX_JOBS, Key, ResultStore, fill
 from bayeq.systems import System
 
-# The name under which a law holds the constant of an equation.
+# Key of the constant of an equation in a `Law`.
 CONSTANT = "1"
 
-#: More records of a cell are a mistake of typing.
+#: Most records of a cell; a larger number is taken for a typing mistake.
 MOST_RECORDS = 10_000
 
 Cell = tuple[str | float, ...]
@@ -49,19 +49,19 @@ class _Outcomes(ResultStore):
         return [[(cell, seed)] for seed in seeds for cell in cells if (cell, seed) not in there]
 
     def outcomes(self, cell: str, seeds: Sequence[int]) -> list[Outcome]:
-        """What is there of a cell, in the order of the seeds."""
+        """The stored outcomes of a cell, in the order of the seeds."""
         there = dict(self._read("SELECT seed, outcome FROM results WHERE cell = ?", (cell,)))
         return [json.loads(there[seed]) for seed in seeds if seed in there]
 
 
 class Cells(NamedTuple):
-    """What was asked for: cells and their outcomes, side by side."""
+    """The requested cells, and the list of outcomes of each."""
 
     cells: Sequence[Cell]
     outcomes: Sequence[list[Outcome]]
 
     def grouped(self, key: Callable[[Cell], Cell]) -> dict[Cell, list[tuple[str, Outcome]]]:
-        """Outcomes, each with its system, by a key of their cells; none without any."""
+        """Pairs (system, outcome), grouped by a key of their cells; groups without outcomes are absent."""
         out: dict[Cell, list[tuple[str, Outcome]]] = {}
         for cell, outcomes in zip(self.cells, self.outcomes, strict=True):
             for one in outcomes:
@@ -80,11 +80,11 @@ def run_cells(
     jobs: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> Cells:
-    """Measure the cells of a benchmark that an SQLite file, made if it is not there, does not hold.
+    """Measure the cells of a benchmark that are missing in an SQLite file, which is created if absent.
 
-    A cell is text and numbers that say what is measured; its `records` have consecutive seeds. `measure` turns cell and
-    seed into an outcome as JSON can hold it, and is a function of a module, for worker processes. `progress` is called
-    with (outcomes there, these and the missing ones).
+    A cell is a tuple of texts and numbers that defines a measurement; its `records` have consecutive seeds. `measure`,
+    a function at module level for worker processes, turns cell and seed into an outcome for JSON. `progress` is called
+    with (outcomes computed in this run, their total).
     """
     whole_number("seeds", records, 1, MOST_RECORDS)
     whole_number("seed", first_seed, 0)
@@ -112,7 +112,7 @@ def facts() -> Mapping[str, Any]:
 
 
 def system_of(name: str, states: Sequence[str], rhs: Sequence[str], initial: Sequence[float], **about: Any) -> System:
-    """A system of first order without inputs or noise, of which nothing is known but its equations."""
+    """A first-order system without inputs and noise, given by its equations alone."""
     return System(
         name=name,
         chains=tuple(states),
@@ -126,7 +126,7 @@ def system_of(name: str, states: Sequence[str], rhs: Sequence[str], initial: Seq
 
 
 def timed(discover: Callable[[], Any], judge: Callable[[Any], Outcome]) -> Outcome:
-    """The judgement of an answer, and the seconds of CPU that it took; an error is an answer without a term."""
+    """Outcome of an answer by `judge`, with CPU seconds of `discover`; after an error, its message and the seconds."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", BayeqWarning)
         start = time.process_time()
@@ -138,12 +138,12 @@ def timed(discover: Callable[[], Any], judge: Callable[[Any], Outcome]) -> Outco
 
 
 def judged(eqs: Any, laws: Sequence[Law]) -> Outcome:
-    """An answer beside the true laws: coefficients by term of each equation, the constant under `CONSTANT`.
+    """Compare an answer with the true laws: coefficients by term of each equation, the constant under `CONSTANT`.
 
     ``E``, the error of the coefficient matrix in the spectral norm, relative to the true one; ``exact``, whether the
-    included terms of all equations are the true ones; ``wrong``, terms too many and missed; ``false_found``, equations
-    called found that show a false term, or miss a true one that is above its stated bound; ``covered`` of
-    ``intervals``, 95 % intervals of the true terms that are included.
+    included terms of all equations are the true ones; ``wrong``, false and missed terms; ``false_found``, number of
+    equations with the verdict found that show a false term, or miss a true one above its stated bound; ``covered``,
+    number of the ``intervals`` (95 %, of included true terms) that contain the true coefficient.
     """
     verdicts = [eq.verdict.kind for eq in eqs]
     laws = [{parse(name).text: value for name, value in law.items()} for law in laws]
@@ -176,7 +176,7 @@ def _coefficients(eq: Any) -> dict[str, float]:
 
 
 def _right(eq: Any, law: Law) -> bool:
-    """No false term is shown, and every true one is, or is below its stated bound; a constant, within its interval."""
+    """Whether no false term is shown, and a true one is missing only below its bound (a constant: in its interval)."""
     shown = set(eq.shown) | ({CONSTANT} if eq.intercept_matters else set())
     limits = np.full(len(eq.terms), np.nan) if eq.bound is None else eq.bound
     bound = dict(zip((term.text for term in eq.terms), np.nan_to_num(limits).tolist(), strict=True))
@@ -188,7 +188,7 @@ def _right(eq: Any, law: Law) -> bool:
 
 
 def percent(part: Iterable[bool]) -> str:
-    """A share in per cent; of nothing nothing.
+    """Share of true values in per cent; empty text for no values.
 
     >>> percent([True, False, True, True]), percent([])
     ('75.0', '')
@@ -198,7 +198,7 @@ def percent(part: Iterable[bool]) -> str:
 
 
 def rates_of_verdicts(outcomes: Sequence[Outcome], covering: Sequence[Outcome]) -> dict[str, object]:
-    """How often all equations are found, and one of them wrongly; coverage, of the intervals of some; and the time."""
+    """Share with all equations found, number with a wrong one, interval coverage (in `covering`) and CPU time."""
     verdicts = [one["verdicts"] for one in outcomes if "verdicts" in one]
     covered, intervals = (sum(one.get(name, 0) for one in covering) for name in ("covered", "intervals"))
     return {
@@ -210,6 +210,6 @@ def rates_of_verdicts(outcomes: Sequence[Outcome], covering: Sequence[Outcome]) 
 
 
 def wrong_in(outcomes: Sequence[Outcome]) -> str:
-    """What was too much or missed in any of some records."""
+    """Errors, false terms and missed terms of the outcomes as one text, each once."""
     texts = (text for one in outcomes for text in [one.get("error", ""), *one.get("wrong", [])])
     return "; ".join(dict.fromkeys(filter(None, texts)))

@@ -1,4 +1,4 @@
-"""What makes a study the study it is."""
+"""Configuration of a Monte Carlo study."""
 
 from __future__ import annotations
 
@@ -12,35 +12,35 @@ from bayeq.errors import InputError, UnknownNameError, whole_number
 # The paper's order, which is also the number of a system in the seed of its realisations: append, never reorder.
 STUDY_SYSTEMS = ("linear", "duffing", "quadratic", "coulomb")
 
-# The paper's four, and its SS-VB started literally as it says.
+# The paper's four algorithms, and its SS-VB started from the RVM as in its section 3.2.
 DEFAULT_ALGORITHMS = ("sindy", "rvm", "gibbs", "vb", "vb-rvm")
 
 
 @dataclass(frozen=True, slots=True)
 class StudyConfig:
-    """The numbers of a study: studies of the same numbers agree in each realisation of each system and algorithm."""
+    """Configuration of a study: equal configurations give the same result for a realisation, system and algorithm."""
 
     seed: int = 0  # a realisation is drawn from (seed, system, index)
-    smooth: str = "none"  # the paper's raw noisy channels; or "auto", see `bayeq.states.derive_states`
+    smooth: str = "none"  # the paper's raw noisy channels; or "auto", see `bayeq.discover`
     noise: float = 0.05  # on every channel, relative to the clean signal's standard deviation
     perturb: float = 0.1  # relative standard deviation of the parameters
-    # the first and the last rows of a record
+    # training rows at the start of a record, and test rows at its end
     train_rows: int = 2000
     test_rows: int = 2000
     dictionary: str = "oscillator"  # eq. (31); see `bayeq.dictionary.build_dictionary`
-    # the prior, see `bayeq.inference.Prior`; on standardised columns, with the target in its own units
+    # the prior, see `bayeq.Prior`; on standardised columns, with the target in its own units
     slab_variance: float = 10.0
     prior_inclusion: float = 0.1
     noise_shape: float = 1e-4
     noise_rate: float = 1e-4
-    # of the Gibbs sampler
+    # settings of the Gibbs sampler
     chains: int = 4
     samples: int = 5000
     burn_in: int = 1000
     protocol: int = 1  # raised whenever the code would give other results for the same numbers
 
     def validate(self) -> None:
-        """Raise an InputError for a number that is out of range, which would only fail in every realisation."""
+        """Raise an InputError for a number out of range, which would otherwise fail in every realisation."""
         least = {"seed": 0, "train_rows": 3, "test_rows": 1, "chains": 1, "samples": 2, "burn_in": 0}
         for name, lowest in least.items():
             whole_number(name, getattr(self, name), lowest)

@@ -1,9 +1,9 @@
 """The 70 polynomial chaotic systems of Kaptanoglu et al. (arXiv 2302.10787), by their protocol (docs/benchmarks.md).
 
 Methods: ``bayeq``, which knows nothing but the states; ``bayeq told``, which knows the true terms, as a lower bound of
-the error E; PySINDy's ``stlsq``, from smoothed differences and in ``weak`` form, with the threshold that is best by
-AICc of clean derivatives of further trajectories, the paper's rule, or by E itself, the oracle. MIOSR needs a solver
-that is sold: its published figures stand beside.
+the error E; PySINDy's ``stlsq``, from smoothed differences and in ``weak`` form, with the threshold that minimises the
+AICc on clean derivatives of further trajectories (the paper's rule), or E itself (the oracle). MIOSR needs a commercial
+solver: its published figures are listed for comparison.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ from bayeq.study.cells import CONSTANT, Cell, Cells, Law, Outcome
 from bayeq.study.config import choose
 from bayeq.systems import System, simulate
 
-#: In per cent.
+#: Noise in per cent of the root mean square of all states.
 NOISES = (0.0, 0.1, 1.0, 10.0, 25.0, 50.0)
 METHODS = ("bayeq", "bayeq told", "stlsq", "weak")
 
 RUNS, ROWS, PER_PERIOD, DEGREE = 5, 1000, 100, 4
 
-# Steps of integration to a period; periods that are left out, and that starts are drawn from.
+# Integration steps per period; periods left out as transient, and periods from which initial states are drawn.
 STEPS, TRANSIENT, LONG = 5000, 10, 30
 
-# Of the published figures, in the order of NOISES.
+# Keys of the published figures by method; each lists values in the order of NOISES.
 PUBLISHED = {"stlsq": "stlsq_differences", "weak": "stlsq_weak"}
 BEST_PUBLISHED = "miosr_weak"
 
-# Of PySINDy: thresholds, and test functions of the weak form, for every trajectory.
+# PySINDy's thresholds, and its test functions of the weak form per trajectory.
 THRESHOLDS = np.geomspace(1e-3, 10.0, 60)
 TEST_FUNCTIONS = 200
 
@@ -66,7 +66,7 @@ def _system(name: str) -> tuple[System, Sequence[Law]]:
 
 @lru_cache(maxsize=8)
 def _clean(name: str, seed: int, further: bool = False) -> list[Record]:
-    """Trajectories without noise, or `further` ones, on which peers choose their thresholds."""
+    """Trajectories without noise; `further` ones are those that PySINDy's thresholds are chosen on."""
     system, _ = _system(name)
     long = simulate(system, n=(TRANSIENT + LONG) * PER_PERIOD)
     rng = np.random.default_rng([seed, systems().index(name)])
@@ -100,7 +100,7 @@ def measure(cell: Cell, seed: int) -> Outcome:
     how: dict[str, Any] = {"dictionary": f"polynomial:{DEGREE}"}
     if method == "bayeq told":
         own = {f"d{s}": [t for t in law if t != CONSTANT] for s, law in zip(system.states, laws, strict=True)}
-        # an equation without candidates beside its constant is offered one
+        # an equation that is a constant alone gets one candidate
         how["dictionary"] = {target: terms or [system.states[0]] for target, terms in own.items()}
     return cells.timed(
         lambda: discover(records, chains=list(system.states), holdout=0.0, **how), lambda eqs: cells.judged(eqs, laws)
@@ -156,11 +156,11 @@ def _fits(
     plain.fit(samples[0])
     rows, targets = [], []
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of thresholds that leave no term, and of its own arrays' axes
+        warnings.simplefilter("ignore")  # about thresholds that leave no term, and axes of its arrays
         for one, values in zip(records, samples, strict=True):
             library = plain
             if weak:
-                np.random.seed(seed)  # noqa: NPY002 (where PySINDy takes the places of its test functions from)
+                np.random.seed(seed)  # noqa: NPY002 (seeds the places of PySINDy's test functions)
                 library = pysindy.WeakPDELibrary(
                     pysindy.PolynomialLibrary(degree=DEGREE), spatiotemporal_grid=one.time, K=TEST_FUNCTIONS
                 )
@@ -204,7 +204,7 @@ def each(done: Cells) -> Iterator[dict[str, object]]:
 
 
 def _line(noise: float, method: str, found: Sequence[tuple[str, Outcome]]) -> dict[str, object]:
-    """Outcomes of some systems, and the published figures of these."""
+    """A line of a table: rates over the outcomes, with the published figures of their systems."""
     names = [name for name, _ in found]
     return {
         "noise_percent": f"{noise:g}",
@@ -217,7 +217,7 @@ def _line(noise: float, method: str, found: Sequence[tuple[str, Outcome]]) -> di
 
 
 def _published(kind: str | None, noise: float, names: Sequence[str]) -> str:
-    """The published E of a method, the median over systems."""
+    """The published E of a method, median over systems; empty if none was published."""
     if kind is None or noise not in NOISES[:3]:
         return ""
     values = [cells.facts()["dysts"][name]["published"][kind][NOISES.index(noise)] for name in dict.fromkeys(names)]
@@ -225,7 +225,7 @@ def _published(kind: str | None, noise: float, names: Sequence[str]) -> str:
 
 
 def _rates_of(outcomes: Sequence[Outcome]) -> dict[str, object]:
-    """Errors, exact answers, verdicts and coverage; an error is an answer of E = 1."""
+    """Errors, exact answers, verdicts and coverage; a failed answer counts as E = 1."""
     errors = np.array([one.get("E", 1.0) for one in outcomes])
     oracle = [one["E_oracle"] for one in outcomes if "E_oracle" in one]
     return {

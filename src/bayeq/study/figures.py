@@ -31,13 +31,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Values from here on are given in powers of ten on the axis.
+# Coefficients from this size on are divided by a power of ten on the axis.
 LARGE = 1e4
 
 # Share of a coefficient's draws that its axis spans, so that a few stray ones do not shrink all others to a dot.
 SPAN = 0.998
 
-# Room beyond that, of the axis' length.
+# Margin beyond that at each end, as a share of the axis length.
 MARGIN = 0.06
 
 FIG_4_TERMS = "candidate term ($x$ displacement, $v$ velocity, $u$ force)"
@@ -52,7 +52,7 @@ OUTLINE = 200
 # Height of the triangle of a system [mm].
 BLOCK = 90.0
 
-# How VB's mean and the truth are marked.
+# Marker styles of VB's mean and of the truth.
 MEAN: dict[str, Any] = {"color": style.BLACK, "markersize": 5, "markeredgewidth": 1.1}
 TRUTH: dict[str, Any] = {"color": style.RED, "markerfacecolor": "none", "markersize": 6, "markeredgewidth": 1.3}
 
@@ -63,20 +63,20 @@ class Comparison:
 
     system: System  # the system, with nominal parameters
     truth: Floats  # (P,), true coefficients of the candidate terms
-    # by `spike_slab_gibbs`, with draws, and by `spike_slab_vb`
+    # posteriors by `spike_slab_gibbs`, with draws, and by `spike_slab_vb`
     mcmc: Posterior
     vb: Posterior
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointPosterior:
-    """The joint posterior of p coefficients, of n draws, to be drawn pair by pair."""
+    """Joint posterior of p coefficients, with n draws, plotted pair by pair."""
 
     title: str  # the system
-    labels: tuple[str, ...]  # p, of the axes, as matplotlib sets them
-    names: tuple[str, ...]  # p, the terms, short
+    labels: tuple[str, ...]  # p, labels of the axes in mathtext
+    names: tuple[str, ...]  # p, the terms in mathtext
     samples: Floats  # (n, p), draws of the coefficients by MCMC
-    included: Bools  # (n, p), which of them are in the draw's model; a pair's cloud is the draws that have both
+    included: Bools  # (n, p), terms in the draw's model; a pair's cloud is the draws with both terms
     same_model: Bools  # (n,), whether a draw's model is the one that VB selects
     truth: Floats  # (p,)
     vb_mean: Floats  # (p,)
@@ -104,7 +104,7 @@ def compare(name: str, config: StudyConfig) -> Comparison:
 def confidence_ellipse(mean: ArrayLike, covariance: ArrayLike, level: float = 0.95) -> Floats:
     """Outline (2, 200) of the region that holds a share `level` of a bivariate Gaussian, of mean (2,) and covariance C.
 
-    There ``(t - mean)' C^-1 (t - mean)`` is the chi-square quantile with 2 degrees of freedom, ``-2 ln(1 - level)``.
+    On it ``(t - mean)' C^-1 (t - mean)`` is the chi-square quantile with 2 degrees of freedom, ``-2 ln(1 - level)``.
 
     >>> outline = confidence_ellipse([0.0, 0.0], [[1.0, 0.0], [0.0, 4.0]])
     >>> outline.max(axis=1).round(2)
@@ -186,7 +186,7 @@ def draw_inclusion(panels: Sequence[Comparison]) -> Figure:
 
 
 def _bars(ax: Axes, panel: Comparison) -> list[Any]:
-    """A panel of inclusion probabilities; returns what the legend explains."""
+    """A panel of inclusion probabilities; returns the handles for the legend."""
     at = np.arange(len(panel.truth))
     look: dict[str, Any] = {"edgecolor": style.BLACK, "linewidth": 0.4}
     true = [ax.axhspan(j - 0.5, j + 0.5, color=style.PALE, linewidth=0, zorder=0) for j in np.flatnonzero(panel.truth)]
@@ -232,7 +232,7 @@ def draw_joint(systems: Sequence[JointPosterior]) -> Figure:
 
 
 def _triangle(block: Any, system: JointPosterior, title: str) -> None:
-    """The pairs of one system: coefficient i across, j > i up, with shared axes."""
+    """The pairs of one system: coefficient i on the horizontal axis, j > i on the vertical one, with shared axes."""
     side = len(system.labels) - 1
     axes = block.subplots(side, side, squeeze=False, sharex="col", sharey="row")
     for j, i in np.ndindex(side, side):
@@ -292,7 +292,7 @@ def write_figures(folder: Path, *, seed: int = 0, systems: Iterable[str] = STUDY
 
     Nominal parameters, 5 % noise, 2000 rows. Fig. 4 has the inclusion probabilities of all terms, Fig. 5, of nonlinear
     systems, the pairwise posteriors of the true ones; as ``.png`` and ``.svg`` in a folder that is made if missing. The
-    same seed gives the same bytes. MissingExtraError without matplotlib; InputError for what cannot be used or written.
+    same seed gives the same bytes. MissingExtraError without matplotlib; InputError for bad arguments or paths.
     """
     require_matplotlib()
     names = choose("system", systems, STUDY_SYSTEMS)

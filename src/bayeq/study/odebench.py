@@ -1,10 +1,10 @@
 """ODEBench, the 63 systems of d'Ascoli et al. (arXiv 2310.05573), by their protocol (docs/benchmarks.md).
 
-An equation is scored by its free runs from the clean first state and from the initial state that it has not seen: R2
-of all states together. Dictionaries: "blind", all monomials to degree 3; "informed", monomials to the system's own
-degree, at least 2, and its other functions, constants inside them unknown where they are. Methods: ``bayeq``;
-``proportional``, which knows that the noise is a share of the reading; and PySINDy's ``stlsq`` with the authors' grid,
-of which the last 30 % of the trajectory choose.
+Equations are scored by the R2, over all states, of a free run from the clean first state and of one from a second
+initial state that is not in the data. Dictionaries: "blind", all monomials to degree 3; "informed", monomials to the
+system's own degree, at least 2, and its other functions, with unknown constants inside if it has any. Methods:
+``bayeq``; ``proportional``, which knows that the noise is a share of the reading; and PySINDy's ``stlsq`` with the
+settings of the authors' grid that predict the last 30 % of the trajectory best.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from bayeq.study.cells import CONSTANT, Cell, Cells, Outcome
 from bayeq.study.config import choose
 from bayeq.systems import simulate
 
-#: Kind and per cent.
+#: Kinds of noise, with its size in per cent.
 NOISES = ("none 0", "multiplied 1", "multiplied 5", "added 1", "added 5")
 DICTIONARIES = ("blind", "informed")
 METHODS = ("bayeq", "proportional", "stlsq")
@@ -35,14 +35,14 @@ METHODS = ("bayeq", "proportional", "stlsq")
 ROWS, SECONDS = 512, 10.0
 SUBSTEPS = 50
 
-# A free run that explains more of the variance follows the trajectory.
+# A free run with a higher R2 follows the trajectory.
 FOLLOWS = 0.9
 
-# The grid of PySINDy: thresholds, ridges, orders of differences, windows of smoothing, degrees; the rows of its fits.
+# PySINDy: thresholds, ridges, orders of differences, windows of smoothing, degrees; the share of rows for its fits.
 GRID = ((0.05, 0.1, 0.15), (0.025, 0.05, 0.075), (2, 3, 4), (None, 15), (1, 2, 3))
 TRAINED = 0.7
 
-# A free run that is further from zero has left.
+# A free run of PySINDy is stopped when a state exceeds this magnitude.
 FARTHEST = 1e6
 
 
@@ -75,7 +75,7 @@ def _clean(name: str, start: int) -> Record:
 
 
 def draw(name: str, start: int, noise: str, points: float, seed: int) -> Record:
-    """A noisy trajectory; the seed draws the noise, and which share of the points is kept beside the first."""
+    """A noisy trajectory; the seed draws the noise, and the share `points` of rows kept (always with the first)."""
     clean = _clean(name, start)
     kind, size = noise.split()
     rng = np.random.default_rng([seed, int(name), start])
@@ -117,7 +117,7 @@ def measure(cell: Cell, seed: int) -> Outcome:
 
 def informed(name: str) -> list[str]:
     known = _known()[name]
-    if known["terms"] is None:  # no fixed terms hold the law: unknown constants are inside some
+    if known["terms"] is None:  # the law has unknown constants inside terms
         return ["polynomial:2", *known["unknowns_in"]]
     names = list(dict.fromkeys(term for law in known["terms"] for term in law if term != CONSTANT))
     degrees = {term: _degree(term, known["states"]) for term in names}
@@ -126,7 +126,7 @@ def informed(name: str) -> list[str]:
 
 
 def _degree(term: str, states: Sequence[str]) -> int | None:
-    """Of a monomial; None of another term."""
+    """Degree of a monomial in the states; None for any other term."""
     power = rf"({'|'.join(states)})(\*\*(\d))?"
     if not re.fullmatch(rf"{power}(\*{power})*", term):
         return None
@@ -146,7 +146,7 @@ def _explained(eqs: Any, clean: Record) -> float:
 
 
 def _r2(run: Floats, clean: Record) -> float:
-    """Share of the variance of all states together; 0 of runs that are not finite."""
+    """R2 of a run (n, C) over all states, at least 0; 0 for runs that are not finite or too short."""
     true = np.column_stack([clean[state] for state in clean.channels])
     if run.shape != true.shape or not np.isfinite(run).all():
         return 0.0
@@ -168,7 +168,7 @@ def _stlsq(record: Record, truth: Sequence[Record], functions: bool) -> Outcome:
             try:
                 model.fit(values[:split], t=times[:split])
                 score = float(model.score(values[split:], t=times[split:]))
-            except (ValueError, np.linalg.LinAlgError):  # no term is left, or a column is not finite
+            except (ValueError, np.linalg.LinAlgError):  # no terms left, or a column is not finite
                 continue
             if score > highest:
                 highest, best = score, model
@@ -194,7 +194,7 @@ def _model(pysindy: Any, threshold: Any, alpha: Any, order: Any, window: Any, de
 
 
 def _run(model: Any, clean: Record) -> Floats:
-    """The states (n, C) from the first one of a record; fewer rows where they leave the range of numbers."""
+    """Free run (n, C) of a model from the first state of a record; fewer rows if a state exceeds `FARTHEST`."""
     from scipy.integrate import solve_ivp
 
     def inside(t: float, y: Floats) -> float:
@@ -233,13 +233,13 @@ def cells_of(
 
 
 def summary(done: Cells) -> Iterator[dict[str, object]]:
-    """A line for every noise, share of points, dictionary and method, of records that come to rest and others."""
+    """A line for every noise, share of points, dictionary and method, apart for records that come to rest."""
     for about, found in done.grouped(_kind).items():
         yield {**_about(*about), "records": len(found), **_rates_of([one for _, one in found])}
 
 
 def _kind(cell: Cell) -> Cell:
-    """What a line is about: all but system and start, and whether the record comes to rest."""
+    """Key of a line: the cell without system and start, and whether its record comes to rest."""
     return (*cell[2:], bool(_known()[str(cell[0])]["rest"][int(cell[1])]))
 
 

@@ -1,8 +1,8 @@
 """Realisations of the Monte Carlo study, each reproducible alone from (seed, system, index), and their store.
 
-The algorithms are a table: a new one is a function and a row of `ALGORITHMS`. Each sees one realisation: the training
-Gram in original units, the held-out Gram (only SINDy looks at it, to choose its threshold as the paper does) and the
-regression that they come from; the study's numbers; and a seed of its own. It answers in original units.
+A new algorithm is a function and a row of `ALGORITHMS`. Its arguments are one realisation, with the training Gram in
+original units, the held-out Gram (used by SINDy alone, to choose its threshold as the paper does) and the regression
+that they come from; the configuration of the study; and its own seed. It returns a posterior in original units.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ from bayeq.states import Roles, Smooth, estimate_motion, parse_chains
 from bayeq.study.config import DEFAULT_ALGORITHMS, STUDY_SYSTEMS, StudyConfig, choose
 from bayeq.systems import System, get_system, simulate
 
-# Behind (seed, system, index) in the seed of an algorithm, so that its random numbers are not the simulation's.
+# Appended to (seed, system, index) in the seed of an algorithm: its random numbers differ from the simulation's.
 ALGORITHM_STREAM = 1
 
 LONGEST_MESSAGE = 300
@@ -59,8 +59,8 @@ Answer = TypeVar("Answer")
 class Realisation:
     """The data of one realisation."""
 
-    regression: Regression  # of the first rows
-    # what counts as data of the first rows, and the last rows, in original units
+    regression: Regression  # on the training rows
+    # Gram matrices of the regression, and of the test rows, in original units
     train: Gram
     test: Gram
     truth: Floats  # (P,), true coefficients of the candidate terms
@@ -83,7 +83,7 @@ def posed(train: Gram, config: StudyConfig) -> tuple[Standardised, Prior]:
 
 
 def _rvm(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Posterior:
-    """Relevance vector machine; selected is what is left in the machine."""
+    """Relevance vector machine; the selected terms are those left in the machine."""
     standard = data.train.standardise()
     return rvm(standard.gram).rescaled(standard)
 
@@ -97,7 +97,7 @@ def _gibbs(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Pos
 
 
 def _auto(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Posterior:
-    """What `bayeq.discover` shows by default: its prior, its noise model and its selection."""
+    """The equation that `bayeq.discover` shows by default, with its prior, noise model and selection."""
     regression = data.regression
     free = parse_constraints((), regression.design.terms, [regression.chain.target])
     (fit,) = fit_equations([regression], free, "auto", seed=seed)
@@ -108,7 +108,7 @@ def _auto(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Post
 def _spike_slab(
     engine: Callable[..., Posterior], data: Realisation, config: StudyConfig, seed: tuple[int, ...]
 ) -> Posterior:
-    """An engine that draws no random numbers, in units of standardised columns."""
+    """Run an engine without random numbers on standardised columns."""
     standard, prior = posed(data.train, config)
     return engine(standard.gram, prior).rescaled(standard)
 
@@ -171,9 +171,9 @@ def draw(config: StudyConfig, system: str, index: int) -> Realisation:
 
 
 def realise(config: StudyConfig, task: Task) -> list[Result]:
-    """Run the algorithms of a task; what fails is a result too."""
+    """Run the algorithms of a task; a failure is a result too."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # what they say, not having converged, is in the result
+        warnings.simplefilter("ignore")  # convergence is in the result
         data, failure = _tried(draw, config, task.system, task.index)
         results = []
         for name in task.algorithms:
@@ -185,7 +185,7 @@ def realise(config: StudyConfig, task: Task) -> list[Result]:
 
 
 def _tried(work: Callable[..., Answer], *arguments: Any) -> tuple[Answer | None, str | None]:
-    """What some work gives, or what its exception says: one bad realisation does not end a study of thousands."""
+    """The result of `work`, or the text of its exception: one bad realisation does not end a study of thousands."""
     try:
         return work(*arguments), None
     except (MemoryError, ImportError):
@@ -210,7 +210,7 @@ def _run(config: StudyConfig, task: Task, name: str, data: Realisation) -> Resul
     return Result(task.system, task.index, name, metrics, seconds, selected, bool(details.converged), extras)
 
 
-# (system, algorithm) -> how many realisations were asked for.
+# (system, algorithm) -> number of requested realisations.
 Plan = dict[tuple[str, str], int]
 
 
@@ -234,15 +234,15 @@ METRICS = tuple(f.name for f in fields(Metrics))
 class Result:
     """A row of the store."""
 
-    # which realisation, and what ran on it
+    # the realisation, and the algorithm that ran on it
     system: str
     index: int
     algorithm: str
     metrics: Metrics | None = None  # None if it failed
     seconds: float | None = None  # wall time of the algorithm alone, from the Gram to the estimate
     selected: tuple[str, ...] = ()  # the selected terms
-    converged: bool | None = None  # what the algorithm says of itself
-    extras: Mapping[str, Any] = field(default_factory=dict)  # what else it says, as plain numbers
+    converged: bool | None = None  # as the algorithm reports
+    extras: Mapping[str, Any] = field(default_factory=dict)  # further numbers: n_iter, elbo, rhat
     failure: str | None = None  # type and message of the exception
 
 
@@ -276,9 +276,9 @@ COLUMNS = ("system", "idx", "algorithm", *METRICS, "seconds", "selected", "conve
 
 
 class Store(ResultStore):
-    """A study's file: with a configuration to run that study, without to look at it; `config` is that in the file.
+    """File of a study, opened to run it if a configuration is given, else to read it; `config` is the stored one.
 
-    InputError for a file with a study of another configuration, whose keys it names; otherwise as `ResultStore`.
+    InputError, which names the keys that differ, for a file of another configuration; other errors as `ResultStore`.
     """
 
     application, noun = 0x62797173, "a study"  # "byqs"
@@ -318,7 +318,7 @@ class Store(ResultStore):
             raise
 
     def plan(self, systems: Sequence[str], algorithms: Sequence[str], realisations: int) -> None:
-        """Note what has been asked for: the most realisations of each system and algorithm."""
+        """Store the number of requested realisations of each system and algorithm; a larger stored number stays."""
         self._write(
             "INSERT INTO plan VALUES (?, ?, ?) ON CONFLICT (system, algorithm) DO UPDATE"
             " SET realisations = max(realisations, excluded.realisations)",
@@ -332,7 +332,7 @@ class Store(ResultStore):
     def missing(
         self, systems: Sequence[str], algorithms: Sequence[str], realisations: int
     ) -> list[list[tuple[str, int, str]]]:
-        """The keys that have no row, those of a realisation together, the systems side by side."""
+        """Keys without a row, grouped by realisation; systems alternate."""
         there = set(self._read("SELECT system, idx, algorithm FROM results"))
         groups = (
             [key for name in algorithms if (key := (system, index, name)) not in there]
@@ -370,17 +370,17 @@ def _result(row: tuple[Any, ...]) -> Result:
     return Result(str(system), int(index), str(algorithm), metrics, seconds, selected, converged, extras, failure)
 
 
-# Work that is sent to a worker at a time [s], and realisations at most: a kill loses no more than this.
+# Duration [s] of a batch that is sent to a worker, and most realisations in it: a kill loses no more than this.
 BATCH_SECONDS = 0.25
 LARGEST_BATCH = 64
 
-# More is a mistake of typing.
+# Most realisations; a larger number is taken for a typing mistake.
 MAX_REALISATIONS = 100_000
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What a run did."""
+    """Summary of a run."""
 
     realisations: int  # how many were computed (or completed by an algorithm) in this run
     failures: int  # algorithms that failed in this run
@@ -399,12 +399,12 @@ def run_study(
     batch: int | None = None,
     client: Any = None,
 ) -> Outcome:
-    """Run a Monte Carlo study, or what is missing of it, which is kept in an SQLite file as it is made.
+    """Run a Monte Carlo study, or the realisations that its SQLite store lacks.
 
-    Systems, algorithms and realisations may be added later; without `config` it is the paper's protocol with seed 0.
-    `jobs` processes compute, with 1 this one alone, or the workers of a Dask `client`, a `batch` at a time, by default
-    what takes a quarter of a second. `progress` is called with (realisations done, these and the missing ones).
-    InputError for what cannot be used, or a store of another configuration; BayeqError where a worker was killed.
+    They are computed by `jobs` processes (1: this process) or by the workers of a Dask `client`, in batches of `batch`
+    realisations (default: about 0.25 s each). Systems, algorithms and realisations may be added later; without `config`
+    it is the paper's protocol with seed 0. `progress` is called with (realisations done in this run, their total).
+    InputError for bad arguments, or a store of another configuration; BayeqError if a worker was killed.
     """
     config = config or StudyConfig()
     config.validate()
@@ -442,7 +442,7 @@ def _realisations(results: Sequence[Result]) -> int:
 
 
 def _per_batch(config: StudyConfig, task: Task) -> int:
-    """Realisations per batch, from the time that one takes; compiles the kernels, or fills their cache, too."""
+    """Realisations per batch, from the measured time of one; this also compiles the kernels, or fills their cache."""
     _warm(config, task.algorithms)
     start = time.perf_counter()
     realise(config, task)
@@ -459,5 +459,5 @@ def _work(config: StudyConfig, batch: Sequence[Task]) -> list[Result]:
 
 @lru_cache(maxsize=64)
 def _warm(config: StudyConfig, algorithms: tuple[str, ...]) -> None:
-    """Load what is loaded at the first call, so that it is not counted as an algorithm's time."""
+    """Run the algorithms once to load libraries and kernels, so that this does not count as an algorithm's time."""
     realise(config, Task(STUDY_SYSTEMS[0], 0, algorithms))

@@ -51,7 +51,7 @@ APPROXIMATE = 1e4
 # Its Table 3: seconds of a single run (SS-MCMC: of a single chain; SS-VB: with the RVM that it starts from).
 RUNTIMES = {"sindy": 3.65, "rvm": 0.03, "gibbs": 34.23, "vb": 0.33}
 
-# Averages of zeros and ones.
+# Metrics that are averages of zeros and ones.
 RATES = ("exact", "superset")
 
 # Failure messages that are listed below a table.
@@ -138,7 +138,7 @@ def _paper(system: str, algorithm: str) -> Row | None:
 
 
 def failure_messages(results: Iterable[Result]) -> list[Row]:
-    """What failed: a row per system, algorithm and message, with the count and the first index."""
+    """Failures: a row per system, algorithm and message, with the count and the first index."""
     found: dict[tuple[str, ...], Row] = {}
     for r in results:
         if r.failure is not None:
@@ -252,7 +252,7 @@ def _with_error(value: float | None, error: float | None) -> str:
 
 
 def _number(value: float, like: float | None = None) -> str:
-    """Three decimals as the paper prints, fewer of what is large; of an error, according to its value.
+    """A number with three decimals as in the paper, fewer if it is large; an error is rounded to suit its value `like`.
 
     >>> _number(0.0411), _number(502.261), _number(1546.5), _number(4e5)
     ('0.041', '502.3', '1546', '4.0e+05')
@@ -283,7 +283,7 @@ def _markdown(head: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
 
 
 def _csv(rows: Sequence[Row]) -> str:
-    """Nested values under names such as se_exact and paper_exact."""
+    """CSV text of the rows; nested values get columns such as se_exact and paper_exact."""
     import pandas as pd
 
     flat = []

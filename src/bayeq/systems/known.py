@@ -1,8 +1,8 @@
-"""The known systems: oscillators of Nayek, Worden and Cross, chaotic flows, and accelerations that hold each other."""
+"""The known systems: oscillators of Nayek, Worden and Cross, chaotic flows, and coupled accelerations."""
 
 from bayeq.systems.system import BandLimitedForce, System, oscillator
 
-# Of the equations of `terms`, solved for both accelerations: of the pole on a cart, and of the two rods.
+# Parts of the equations of `terms`, solved for both accelerations: pole on a cart, and double pendulum.
 _CART = "(u-c*v+m*l*w**2*sin(q))/(M+m)"
 _ON_CART = "(1-m/(M+m)*cos(q)**2)"
 _FIRST = "m2*l2/((m1+m2)*l1)*s**2*sin(p-q)+g/l1*sin(p)"

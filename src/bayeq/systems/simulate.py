@@ -1,4 +1,4 @@
-"""``simulate``: a record of a known system, with the truth beside it."""
+"""``simulate``: a record of a known system, with its true law and clean channels."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from bayeq.systems.system import BandLimitedForce, System
 if TYPE_CHECKING:
     from bayeq.numerics.rk4 import Interpolation
 
-# More samples in one record than anybody measures, and noise that drowns any signal: mistakes of typing.
+# Most samples of a record, and largest noise ratio; larger values are taken for typing mistakes.
 MAX_SAMPLES = 100_000_000
 MAX_NOISE = 1e6
 
@@ -279,7 +279,7 @@ def band_limited_noise(force: BandLimitedForce, n: int, fs: float, rng: np.rando
 
 
 def _few_periods(std: float, lo: float, hi: float, n: int, rng: np.random.Generator) -> Floats:
-    """As `band_limited_noise`, of few lines: those of a longer record, summed; the band in cycles per sample."""
+    """As `band_limited_noise` for few lines: 20 sines over the band, from `lo` to `hi` in cycles per sample."""
     frequency = lo + (hi - lo) * np.arange(1, _LINES + 1) / _LINES
     phase = 2 * np.pi * np.outer(np.arange(n), frequency)
     amplitudes = std / math.sqrt(_LINES) * rng.standard_normal((2, _LINES))

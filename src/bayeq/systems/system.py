@@ -1,4 +1,4 @@
-"""``System``: a known system, as data; and what oscillators of Nayek, Worden and Cross have in common."""
+"""``System``: a known system, as data; and ``oscillator``, for those of Nayek, Worden and Cross."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class System:
     Attributes
     ----------
     name, title : str
-        The name by which `get_system` finds it, and what people call it.
+        The name by which `get_system` finds it, and its title.
     chains : tuple of str
         Coordinates with their derivatives: ``"x:v:a"`` for an oscillator, ``"x"`` for a first-order state.
     rhs : mapping of str to str
@@ -52,7 +52,7 @@ class System:
     inputs : tuple of str
         External forces.
     force : BandLimitedForce or None
-        What drives each input.
+        Random force of each input.
     n, fs : int, float
         Samples, and sampling rate [Hz].
     substeps : int
@@ -60,11 +60,11 @@ class System:
     noise : float
         Ratio of the noise's standard deviation to the scale of the clean signal.
     noise_scale : {"channel", "pooled"}
-        That scale: each channel's own standard deviation, or one of all states' samples together.
+        The scale of the noise: each channel's own standard deviation, or one of all states' samples together.
     units : mapping of str to str
         Units of the channels.
     citation : str
-        Where it comes from.
+        Source of the system.
     """
 
     name: str

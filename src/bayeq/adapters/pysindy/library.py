@@ -18,7 +18,7 @@ _PLACEHOLDER = "x{}_"
 
 
 def is_library(thing: Any) -> bool:
-    """Whether something is a feature library of PySINDy, by what it can do."""
+    """Whether something is a feature library of PySINDy, by its methods."""
     return all(callable(getattr(thing, name, None)) for name in ("fit", "transform", "get_feature_names"))
 
 
@@ -36,7 +36,7 @@ def terms_of(library: Any, names: Sequence[str]) -> list[str]:
     >>> terms_of(Squares(), ["x", "v"])
     ['x**2', 'v**2']
     """
-    # names of which none is part of another, whatever the channels are called
+    # placeholders, none of which is part of another, whatever the channels are called
     stand = [_PLACEHOLDER.format(k) for k in range(len(names))]
     samples = np.random.default_rng(0).uniform(0.5, 1.5, (8, len(names)))
     kind = type(library).__name__
@@ -93,7 +93,7 @@ def _named(text: str, stand: Sequence[str], names: Sequence[str]) -> str:
 
 
 def _products(text: str) -> str:
-    """With * where operands stand side by side: ``2 x0 sin(x1)`` is ``2*x0*sin(x1)``."""
+    """Insert * between operands that stand side by side: ``2 x0 sin(x1)`` is ``2*x0*sin(x1)``."""
     token = re.compile(rf"\s*({_NUMBER.pattern}|[^\W\d]\w*|\*\*|.)\s*")
     out, before = "", ""
     for part in token.findall(text.strip()):

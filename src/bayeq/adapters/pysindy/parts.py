@@ -50,18 +50,18 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
     method : "auto", "vb", "bma" or "gibbs"
         Engine, as of `discover`.
     noise_floor : float or (K,) array, optional
-        Standard deviation, in units of the derivative, of white noise that each target has in any case. By default that
-        of a time series is read from its differences, and rows in no order, as those of a weak form, are taken to have
-        an error of 1 % of the target that averages out over no more than 10 rows; 0 leaves the latter out.
+        Least standard deviation, in units of the derivative, of the white noise of each target. By default it is
+        estimated from differences for a time series; rows in no order, as those of a weak form, are assumed to have an
+        error of 1 % of the target that averages out over no more than 10 rows; 0 leaves the latter out.
     random_state : int
         Seed of ``"gibbs"``.
     unbias : bool
         Must be False: coefficients are posterior means given the included terms, and a least-squares fit in their place
         would not belong to the covariance and the probabilities that are reported.
     copy_X : bool
-        As of other optimizers; the library is never written to.
+        As in other optimizers; the library is never written to.
     normalize_columns : bool
-        As of other optimizers; it changes nothing, for columns are always put in units of their own.
+        As in other optimizers; it has no effect, since columns are always scaled to unit size.
     verbose : bool
         Print a line about each target when it is fitted.
 
@@ -74,7 +74,7 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
     pip_ : (K, P) array
         Posterior inclusion probabilities.
     posteriors_ : tuple of Posterior
-        One of each target, in the units of library and target: `pip`, `sd`, `covariance`, `noise_variance` ...
+        One per target, in the units of library and target: `pip`, `sd`, `covariance`, `noise_variance` ...
     complexity : int
         Number of included terms of all targets.
 
@@ -143,7 +143,7 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
         weights = checked_weights(np.full(len(D), given) if given.ndim == 0 else given, len(D))
         even = bool((weights == 1.0).all())
         known = np.isfinite(D).all(axis=1) & np.isfinite(Y).all(axis=1)
-        # what was fitted before is gone whatever happens
+        # earlier results are removed, even if this fit fails
         for name in [name for name in vars(self) if name.endswith("_") and not name.startswith("_")]:
             delattr(self, name)
         gaps = np.diff(np.cumsum(~known)[known], prepend=0) > 0
@@ -178,7 +178,7 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
         varying = [k for k in range(y.shape[1]) if np.any(y[:, k])]
         pieces = None if gaps is None else pieces_of(Z, gaps)
         unseen = LEAST_FLOOR
-        if self.noise_floor is None:  # white noise that weighs as much as an error which rows do not show
+        if self.noise_floor is None:  # white noise with the weight of an error that unordered rows do not show
             unseen = UNSEEN * float(np.sqrt(max(float(weights.sum()) / UNSEEN_ROWS, 1.0)))
         grams = {k: row_gram(Z, T[:, k], weights, max(floors[k], unseen)) for k in range(y.shape[1])}
         if pieces is not None and varying:
@@ -188,7 +188,7 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
         for k, gram in sorted(grams.items()):
             original = gram.in_units(1.0 / size, 1.0 / target_size[k]).gram
             found = self._posterior(original, inclusion, size, target_size[k])
-            # not that of the bins, but of the rows
+            # noise variance of the rows, not of the bins
             left = float(weights @ (y[:, k] - x @ found.coef) ** 2)
             noise = left / max(float(weights.sum()) - found.support.sum(), 1.0)
             posteriors.append(replace(found, noise_variance=noise))
@@ -200,7 +200,7 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
             self._say("rows in no order" if pieces is None else f"time series of {len(pieces)} pieces")
 
     def _say(self, rows: str) -> None:
-        """Print what was found of each target, and what its rows were taken to be."""
+        """Print a line for each target, with the kind of rows."""
         for k, posterior in enumerate(self.posteriors_):
             nearest = np.abs(posterior.pip - 0.5).argmin()
             print(
@@ -210,7 +210,7 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
             )
 
     def _inclusion(self, Z: Floats) -> Floats:
-        """p_0 of each column, 0 of a column that is another one times a number."""
+        """p_0 of each column (P,); 0 for a column that is a multiple of another one."""
         inclusion = _of_each("prior_inclusion", self.prior_inclusion, Z.shape[1], "columns", "a probability").copy()
         order = np.argsort(-inclusion, kind="stable")
         # columns have unit size: the correlation of two that differ by rounding is 1 less half the square of that
@@ -219,7 +219,7 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
         return inclusion
 
     def _posterior(self, gram: Gram, inclusion: Floats, size: Floats, target_size: float) -> Posterior:
-        """Of one target, as `discover` finds that of a regression."""
+        """The posterior of one target, as `discover` finds it for rows as measured."""
         unit = gram.in_units(size, target_size)
         scale = residual_scale(unit.gram)
         spread = np.sqrt(np.maximum(unit.gram.diagonal, 0.0) / gram.n)
@@ -240,7 +240,7 @@ class SpikeSlabOptimizer(BaseOptimizer):  # type: ignore[misc]
 
 
 def _of_each(name: str, given: ArrayLike, count: int, of: str, what: str) -> Floats:
-    """A number for each, or one for all."""
+    """Values (count,), from one for each or one for all; InputError if negative or not finite."""
     values = np.asarray(given, dtype=np.float64)
     if values.shape not in ((), (count,)) or not (np.isfinite(values) & (values >= 0)).all():
         raise InputError(f"{name} must be {what} and finite, or one of each of the {count} {of}, got {given!r}")

@@ -1,10 +1,11 @@
 """Rows of a library and a target as a time series: the Gram that allows for errors of the numerical derivative.
 
-An optimizer of PySINDy is not told how the derivatives were made; docs/method/regression.md says what is known of any.
-Differences that complete them are candidates, integrated out: those of the fitted target, for the target's own would
-share its noise (two-stage least squares). The regression is one of the bins below the frequency at which the target
-comes near to the residual, weighted by the inverse of the residual's density, which is taken never to fall with
-frequency: bins of tapered columns have independent residuals (generalised least squares; Hannan 1963).
+An optimizer of PySINDy does not know how the derivatives were computed; docs/method/regression.md has what holds for
+all methods. Differences that correct them are further candidates, integrated out; they are of the fitted target, since
+those of the target itself would share its noise (two-stage least squares). The regression uses the Fourier bins below
+the frequency at which the target comes near to the residual, weighted by the inverse of the residual's density, which
+is assumed not to fall with frequency: bins of tapered columns have independent residuals (generalised least squares;
+Hannan 1963).
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ from bayeq.arrays import Bools, Complexes, Floats
 from bayeq.inference.collapsed.slab import likeliest_by_rows
 from bayeq.inference.gram import Gram
 
-# Share of a piece that is tapered at either end, and the least number of rows; this many times the inverse of the
-# band's width, since that is how far a smoother's errors at the ends reach; and not more than this share.
+# Taper at either end of a piece: share of its rows; fewest rows; length as a multiple of the inverse bandwidth, since
+# that is how far a smoother's errors at the ends reach; and largest share for that length.
 TAPERED = 1 / 40
 LEAST_TAPER = 16
 MEMORY = 4.0
@@ -29,11 +30,11 @@ MOST_TAPERED = 1 / 5
 # Bins on either side over which the spectrum of residuals is averaged: 122 degrees of freedom.
 SMOOTHING = 30
 
-# Error that central differences of second order leave: the coefficients of d2, d4 and d6 that complete them.
+# Coefficients of d2, d4 and d6 that correct the error of second-order central differences.
 COMPLETION = np.array([1 / 6, 1 / 30, 1 / 140])
 ORDERS = len(COMPLETION)
 
-# Turns of the two-stage least squares.
+# Iterations of the two-stage least squares.
 TURNS = 4
 
 # A shorter piece is not used, and no piece where more than half of the rows would be lost.
@@ -48,11 +49,11 @@ ABOVE_RESIDUAL = 30.0
 COARSE = 5
 LEAST_BINS = 40
 
-# Share of the target that counts as noise in any case: rounding.
+# Least noise, as a share of the target: rounding.
 LEAST_FLOOR = 1e-6
 
 # Error, as a share of the target, that rows in no order may have without showing it: derivatives inside a weak form by
-# differences of second order. However many rows there are, it averages out no more than over this many.
+# differences of second order; and the largest number of rows over which it averages out.
 UNSEEN = 1e-2
 UNSEEN_ROWS = 10.0
 
@@ -62,7 +63,7 @@ PILOTS = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Band:
-    """The rows of one piece as bins of a band, from frequency zero on."""
+    """Fourier bins of the rows of one piece, from frequency zero to the end of the band."""
 
     frequency: Floats  # (b,), frequencies [1/row]
     count: Floats  # (b,), real numbers that a bin stands for: 1 at zero frequency, otherwise 2
@@ -101,7 +102,7 @@ def series_grams(Z: Floats, T: Floats, pieces: Sequence[slice], floors: Floats) 
     """Statistics of each target in its band, errors of the derivative allowed for.
 
     Library (n, P), columns of unit size; targets (n, K) of unit size, or zero; pieces from `pieces_of`; floors (K,),
-    the standard deviations of noise that is there in any case.
+    the least standard deviations of the noise.
     """
     spare = 2 * ORDERS
     inner = [slice(p.start + spare, p.stop - spare) for p in pieces]
@@ -118,7 +119,7 @@ def series_grams(Z: Floats, T: Floats, pieces: Sequence[slice], floors: Floats) 
 def _with_differences(
     Z: Floats, pieces: Sequence[slice], library: Sequence[Floats], t: Sequence[Floats], highest: float
 ) -> list[Band]:
-    """Library, differences and target of each piece in the band; differences are of what all columns give of it."""
+    """Library, differences and target of each piece in the band; differences are of the fitted target."""
     bands = [to_band(D, y, highest) for D, y in zip(library, t, strict=True)]
     fitted = [Z[p] @ _least_squares(bands) for p in pieces]
     for _ in range(TURNS):
@@ -148,7 +149,7 @@ def _least_squares(bands: Sequence[Band]) -> Floats:
 
 
 def _last_order(bands: Sequence[Band]) -> float:
-    """Size of the last difference that is allowed for: as much may be left of those that are not."""
+    """Root mean square of the last correction, taken as the error that higher differences would leave."""
     power = count = 0.0
     for b in bands:
         symbol = COMPLETION[-1] * (2.0 * np.sin(np.pi * b.frequency)) ** (2 * ORDERS)
@@ -168,7 +169,7 @@ def _differences(t: Floats) -> Floats:
 
 
 def _band_end(D: Sequence[Floats], t: Sequence[Floats]) -> float:
-    """Frequency [1/row] below which a target stands out of what all columns together leave of it."""
+    """Frequency [1/row] below which the density of a target is well above that of its residual on all columns."""
     coef = np.linalg.lstsq(np.concatenate(D), np.concatenate(t))[0]
     left = [y - d @ coef for d, y in zip(D, t, strict=True)]
     frequency = np.concatenate([np.fft.rfftfreq(len(y)) for y in t])
@@ -225,7 +226,7 @@ def band_gram(bands: Sequence[Band], spectrum: Sequence[Floats]) -> Gram:
 
 
 def _uncentred(products: Floats, n: float) -> Gram:
-    """A Gram from sums of products of columns and target, of which no mean is taken off."""
+    """A Gram from uncentred sums of products of columns and target."""
     terms = len(products) - 1
     DtD, Dty = np.ascontiguousarray(products[:terms, :terms]), products[:terms, terms].copy()
     names = tuple(f"x{j}" for j in range(terms))
@@ -256,15 +257,15 @@ def _banded(bands: Sequence[Band], terms: int, floor: float) -> Gram:
         ridged = whole.DtD[E, E] + np.diag(unit / COMPLETION**2)
         coef[E] = np.linalg.solve(ridged, whole.Dty[E] - whole.DtD[E, :terms] @ coef[:terms])
     spectrum = _spectrum(bands, coef, floor)
-    # A bin whose residual is below the density that weights it is worth less: beyond the pass band of a smoothed motion
-    # it is next to nothing, and would be evidence that the noise is small in the others too.
+    # A bin whose residual is below the density that weights it counts less: beyond the pass band of a smoothed motion
+    # the residual is nearly zero, and would be evidence that the noise is small in other bins too.
     own = residual_spectrum(bands, coef)
     counted = sum(float(b.count @ ((o + floor**2) / s)) for b, o, s in zip(bands, own, spectrum, strict=True))
     return replace(_weighted(bands, terms, spectrum, floor)[1], n=counted, dof=counted)
 
 
 def _spectrum(bands: Sequence[Band], coef: Floats, floor: float) -> list[Floats]:
-    """Density of the residual, which does not fall with frequency, and of the floor."""
+    """Density of the residual in each bin, made not to fall with frequency, plus that of the floor."""
     found = np.concatenate(residual_spectrum(bands, coef))
     order = np.argsort(np.concatenate([b.frequency for b in bands]), kind="stable")
     found[order] = np.maximum.accumulate(found[order])

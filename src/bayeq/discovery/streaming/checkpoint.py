@@ -1,4 +1,4 @@
-"""Sums on the way, kept in files, so that a run that is killed goes on where it was.
+"""Checkpoints: intermediate sums over rows in files, from which a killed run is resumed.
 
 A file holds the number of units done and the sum over them, as a NumPy archive of plain arrays: nothing in it is code.
 """
@@ -28,18 +28,18 @@ from bayeq.likelihood.fit import Quadratic
 from bayeq.records.io import replacing
 from bayeq.records.stream import FileStream
 
-# A sum is kept no more often than this [s].
+# Shortest time between two writes of a sum [s].
 EVERY = 10.0
 
-# What is summed has changed so often: sums of another state of the program are not gone on with.
+# Version of the summed quantities: sums of another version are not resumed.
 SUMS = 3
 
-# What a file may hold.
+# Types that a file may contain.
 KINDS: dict[str, type[Any]] = {kind.__name__: kind for kind in (OfRows, Folded, Moments, Block, Quadratic, Lagged)}
 
 
 def cache_folder() -> Path | None:
-    """The user's folder for sums on the way; None where there is no home."""
+    """The user's folder for checkpoints; None without a home directory."""
     try:
         given = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA") or Path.home() / ".cache"
     except RuntimeError:
@@ -49,15 +49,15 @@ def cache_folder() -> Path | None:
 
 @dataclass(eq=False)
 class Checkpoint:
-    """One sum."""
+    """Checkpoint of one sum."""
 
     path: Path
     every: bool = False  # whether the last sum, or that of a run that is stopped, is kept however short the run was
-    failed: Callable[[OSError], None] = lambda error: None  # called with the error where it cannot be kept
-    saved: float = field(default_factory=clock.monotonic)  # when it was kept last
+    failed: Callable[[OSError], None] = lambda error: None  # called with the error if it cannot be written
+    saved: float = field(default_factory=clock.monotonic)  # time of the last write
 
     def load(self) -> tuple[int, Any]:
-        """The number of units done, and their sum; (0, None) where there is nothing, or a damaged file."""
+        """The number of units done, and their sum; (0, None) without a file, or if it is damaged."""
         try:
             with self.path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
                 about = json.loads(bytes(file["about"]).decode())
@@ -66,7 +66,7 @@ class Checkpoint:
             return 0, None
 
     def save(self, done: int, total: Any, last: bool) -> None:
-        """Keep a sum, if it is time, or the last one of a long run; where that fails, the one before stays."""
+        """Write a sum if `EVERY` has passed, or the last one of a long run; if that fails, the earlier file stays."""
         now = clock.monotonic()
         if now - self.saved < EVERY and not (last and (self.every or self.path.exists())):
             return
@@ -83,17 +83,17 @@ class Checkpoint:
 
 @dataclass(eq=False)
 class Checkpoints:
-    """The sums of one run."""
+    """The checkpoints of one run."""
 
     folder: Path | None  # where they are kept; None keeps nothing
-    about: str = ""  # what tells this run from others: the files, their sizes and times of change
+    about: str = ""  # identifies the run: version, files, their sizes and times of change, rows
     asked: bool = False  # whether the user named the folder: then the first sum that cannot be kept gives a warning
     used: list[Checkpoint] = field(default_factory=list)
     warned: bool = False
 
     @classmethod
     def of(cls, extents: Sequence[Extent], folder: Path | None, asked: bool = False) -> Checkpoints:
-        """Of rows of files; of records in memory nothing is kept."""
+        """Checkpoints for rows of files; those for records in memory write nothing."""
         about = []
         for one in extents:
             path = getattr(one.stream.rows, "path", None) if isinstance(one.stream, FileStream) else None
@@ -104,7 +104,7 @@ class Checkpoints:
         return cls(folder, repr((version("bayeq"), SUMS, about)), asked)
 
     def of_stage(self, stage: str, about: object) -> Checkpoint | None:
-        """The sum of a stage that depends on what `about` says."""
+        """Checkpoint of the sum of a stage, identified by `about`; None without a folder."""
         if self.folder is None:
             return None
         key = hashlib.sha256(f"{self.about}|{stage}|{about!r}".encode()).hexdigest()[:32]
@@ -113,7 +113,7 @@ class Checkpoints:
         return found
 
     def _warn(self, error: OSError) -> None:
-        """Say that a sum cannot be kept, once and where somebody counts on it."""
+        """Warn, once and only if the user named the folder, that sums cannot be written."""
         if self.asked and not self.warned:
             self.warned = True
             warnings.warn(
@@ -129,7 +129,7 @@ class Checkpoints:
         return self.folder if any(one.path.is_file() for one in self.used) else None
 
     def clear(self) -> None:
-        """Forget the sums: the run is through."""
+        """Remove the checkpoints of a completed run."""
         for one in self.used:
             with suppress(OSError):
                 one.path.unlink(missing_ok=True)
@@ -137,7 +137,7 @@ class Checkpoints:
 
 
 def _taken_apart(value: Any, arrays: dict[str, Any]) -> Any:
-    """A sum as JSON, its arrays aside."""
+    """A sum as JSON data, with its arrays moved to `arrays`."""
     if is_dataclass(value) and not isinstance(value, type):
         parts = {one.name: _taken_apart(getattr(value, one.name), arrays) for one in fields(value)}
         return {"kind": type(value).__name__, "parts": parts}

@@ -1,7 +1,7 @@
 """``Cluster``: units of rows summed by the workers of a Dask cluster; ``connected`` finds it by its address.
 
-Each unit is a task, and eight consecutive ones are added by another, whichever workers have them; the caller adds these
-sums in order. The order does not depend on the workers, and nor does a digit of the result.
+Each unit is a task, and a further task adds the results of eight consecutive units; the caller adds these sums in
+order. The order does not depend on the workers, so that the result does not either, to the last digit.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ AHEAD = 3
 # How long the first worker may take to join, and the last one that has gone to come back [s].
 JOIN, COME_BACK = 30.0, 120.0
 
-# How often it is looked whether there is a worker [s].
+# Time between checks whether there is a worker [s].
 LOOK = 5.0
 
 # How long an address may take to answer [s].
@@ -54,7 +54,7 @@ ANSWER = 5.0
 
 
 class Cluster:
-    """The workers of a cluster, reached by a dask.distributed.Client of the same version of bayeq, or an InputError."""
+    """Workers of a Dask cluster, by its client; InputError for other objects, or workers with another bayeq version."""
 
     def __init__(self, client: Any) -> None:
         if not all(hasattr(client, name) for name in ("submit", "compute", "nthreads", "run")):
@@ -68,7 +68,7 @@ class Cluster:
         _require_workers(client)
 
     def map(self, work: Work[T], units: Sequence[Unit]) -> Iterator[tuple[int, T]]:
-        """Sums over eight units, in order; not many more are under way than there are workers."""
+        """Sums over `TOGETHER` units, in order; only a few units per thread of the workers are submitted at a time."""
         parts: WeakValueDictionary[tuple[int, int], Any] = WeakValueDictionary()
         sent = self._submit(_itself, work.on([_without_rows(one) for one in work.extents]))
 
@@ -97,7 +97,7 @@ class Cluster:
                 future.release()
 
     def unordered(self, function: Callable[[Any], T], tasks: Iterable[Any]) -> Generator[T, None, None]:
-        """What a function returns for each of some tasks, as it is ready; they are taken as workers become free."""
+        """Results of a function for each task, as they are ready; tasks are submitted as workers become free."""
         waiting: list[Any] = []
         left = iter(tasks)
         try:
@@ -114,7 +114,7 @@ class Cluster:
                 future.release()
 
     def _submit(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """A task that is done once, even where another has the same arguments."""
+        """Submit a task of its own, even if another has the same arguments (`pure=False`)."""
         return self.client.submit(function, *arguments, pure=False)
 
     def _sent(self, record: Record) -> Any:
@@ -127,7 +127,7 @@ class Cluster:
     def _parts(
         self, work: Work[Any], unit: Unit, known: WeakValueDictionary[tuple[int, int], Any]
     ) -> tuple[list[int], list[Any]]:
-        """Which parts of a record a unit needs, and the tasks that have them; none of a file, which workers read."""
+        """Numbers of the parts that a unit needs, and the tasks that hold them; none for a file, which workers read."""
         stream = work.extents[unit.extent].stream
         if isinstance(stream, FileStream):
             return [], []
@@ -163,14 +163,14 @@ class Cluster:
         return self._patiently(lambda timeout: future.result(timeout=timeout), future.done)
 
     def _patiently(self, look: Callable[[float], Any], done: Callable[[], bool]) -> Any:
-        """What comes of looking for some time again and again, as long as there is a worker."""
+        """Call `look` until it returns; BayeqError if all workers are gone for longer than `COME_BACK`."""
         gone = None
         with _clear_errors():
             while True:
                 try:
                     return look(LOOK)
                 except TimeoutError:
-                    if done():  # by now, or with this error
+                    if done():  # done since, or failed with a TimeoutError itself
                         return look(LOOK)
                 gone = None if self.client.nthreads() else gone or clock.monotonic()
                 if gone is not None and clock.monotonic() - gone > COME_BACK:
@@ -181,19 +181,19 @@ class Cluster:
 
 
 def _without_rows(extent: Extent) -> Extent:
-    """What is sent to every worker of a record: rows in memory are sent by parts, to those who need them."""
+    """An extent as sent to every worker: rows in memory are left out, and sent in parts to those that need them."""
     if isinstance(extent.stream, FileStream):
         return extent
     return replace(extent, stream=Parts(extent.stream.name, tuple(extent.stream.bounds)))
 
 
 def _itself(value: T) -> T:
-    """A task with a given result: where the worker that has it is lost, another has it."""
+    """Task that returns its argument: if the worker that holds it is lost, another one computes it again."""
     return value
 
 
 def _of_unit(work: Work[T], unit: Unit, numbers: Sequence[int], held: Sequence[Any]) -> T:
-    """On a worker: what is computed of a unit."""
+    """Compute the work for a unit, on a worker."""
     extents = list(work.extents)
     own = extents[unit.extent]
     if isinstance(own.stream, Parts):
@@ -240,7 +240,7 @@ def _on_one_thread(function: Callable[[Any], T], task: Any) -> T:
 
 @contextmanager
 def _clear_errors() -> Iterator[None]:
-    """What Dask raises of workers and schedulers that are lost, in one line."""
+    """Turn Dask's errors about lost workers and schedulers into a BayeqError of one line."""
     from asyncio import CancelledError as Cancelled
     from concurrent.futures import CancelledError
 
@@ -262,7 +262,7 @@ def _clear_errors() -> Iterator[None]:
 
 
 def _require_workers(client: Any) -> None:
-    """Wait for a worker, and refuse those with another version of bayeq, whose sums might be others."""
+    """Wait for a worker, and refuse those with another version of bayeq, whose sums might differ."""
     try:
         client.wait_for_workers(1, timeout=JOIN)
     except TimeoutError:
@@ -281,7 +281,7 @@ def _require_workers(client: Any) -> None:
 
 @contextmanager
 def connected(address: str) -> Iterator[Any]:
-    """The client of a cluster, by the address of its scheduler or its file; an InputError where nobody answers."""
+    """The client of a cluster, by the address of its scheduler or its file; an InputError if no scheduler answers."""
     with needing("distributed", "dask", "work on a cluster"):
         from distributed import Client
     found = _in_file(address)
@@ -296,7 +296,7 @@ def connected(address: str) -> Iterator[Any]:
         ) from None
     loggers = [logging.getLogger(name) for name in ("distributed", "distributed.client", "distributed.core")]
     levels = [one.level for one in loggers]
-    for one in loggers:  # what goes wrong is said in one line, see `_clear_errors`
+    for one in loggers:  # errors are reported in one line, see `_clear_errors`
         one.setLevel(logging.CRITICAL)
     try:
         yield client
@@ -325,12 +325,12 @@ def _in_file(address: str) -> str:
 
 
 def _require_answer(address: str) -> None:
-    """Refuse an address where nobody is, or somebody else: a client would wait for them."""
+    """Raise OSError or ValueError for an address without a scheduler, for which a client would wait."""
     parts = urlsplit(address if "://" in address else f"tcp://{address}")
     if parts.scheme not in ("tcp", "tls", "ws", "wss") or not parts.hostname or parts.port is None:
         raise ValueError("it is no address of one")
     with socket.create_connection((parts.hostname, parts.port), timeout=ANSWER) as connection:
-        if parts.scheme == "tcp" and not connection.recv(1):  # where a scheduler speaks first
+        if parts.scheme == "tcp" and not connection.recv(1):  # a scheduler sends first
             raise OSError("somebody else is there")
 
 
@@ -339,18 +339,18 @@ def _require_answer(address: str) -> None:
 
 @dataclass(frozen=True)
 class Parts:
-    """A record of which some parts are at hand."""
+    """A record with some of its parts in memory."""
 
     name: str  # of the record
     bounds: tuple[int, ...]  # first rows of all parts, and the number of rows
-    held: Mapping[int, Record] = field(default_factory=dict)  # the parts at hand, by their numbers
+    held: Mapping[int, Record] = field(default_factory=dict)  # the parts in memory, by number
 
     def with_parts(self, numbers: Sequence[int], parts: Sequence[Record]) -> Parts:
-        """The record with some parts at hand."""
+        """The record with these parts in memory."""
         return replace(self, held=dict(zip(numbers, parts, strict=True)))
 
     def of(self, channels: Sequence[str]) -> Parts:
-        """Itself: what is at hand has the channels that are needed."""
+        """Itself: its parts have only the channels that are needed."""
         del channels
         return self
 
@@ -377,7 +377,7 @@ class DaskStream:
 
     name: str  # of the record
     bounds: tuple[int, ...]  # first rows of the partitions that have any, and the number of rows
-    partitions: tuple[Any, ...]  # a Record each
+    partitions: tuple[Any, ...]  # delayed objects, a Record each
     client: Any  # the cluster
 
     def of(self, channels: Sequence[str]) -> DaskStream:
@@ -386,7 +386,7 @@ class DaskStream:
         return self
 
     def read(self, start: int, stop: int) -> Record:
-        """Rows `start` to `stop`: taken by a worker, so that no whole partition comes here."""
+        """Rows `start` to `stop`: cut out by a worker, so that no whole partition is transferred."""
         numbers = parts_between(self.bounds, start, stop)
         futures = [self.client.compute(self.partitions[k]) for k in numbers]
         empty = Parts(self.name, self.bounds)
@@ -462,7 +462,7 @@ def _stream(frame: Any, name: str, client: Any, channels: Sequence[str], time: s
 
 
 def _needed(empty: Any, channels: Sequence[str], time: str | None) -> list[Any]:
-    """The columns that hold some channels, and time."""
+    """Columns of the channels and of time; InputError for dates."""
     headers = Headers.of_dataframe(empty, time)
     if time is not None:
         headers.find(time)  # an UnknownNameError here rather than in a worker

@@ -1,4 +1,4 @@
-"""``Whole``: all rows of long records, whose statistics replace those of the stretches that were looked at first."""
+"""``Whole``: all rows of long records, whose statistics replace those of the stretches that are fitted first."""
 
 from __future__ import annotations
 
@@ -37,26 +37,26 @@ from bayeq.resumable import Progress
 from bayeq.states import Motion
 from bayeq.states.bad_samples import Learned
 
-# Of many units these first, evenly spread, so that the likelihood of all is taken near its maximum.
+# Evenly spread units that are fitted first, so that the likelihood of all rows is expanded near its maximum.
 SPREAD = 16
 
-# Passes over all rows until the included terms stay.
+# Most passes over all rows until levels and included terms have converged.
 PASSES = 3
 
 
 @dataclass(frozen=True, eq=False)
 class Whole:
-    """All rows."""
+    """All rows of long records."""
 
     extents: tuple[Extent, ...]  # the rows of each record
-    executor: Executor  # who computes
+    executor: Executor  # threads or a cluster
     progress: Progress  # called with (stage, rows done, rows in all)
-    checkpoints: Checkpoints  # where sums are kept on the way
-    learned: Learned = field(default_factory=Learned)  # what bad samples of the stretches were judged by, for all rows
+    checkpoints: Checkpoints  # of the sums over units
+    learned: Learned = field(default_factory=Learned)  # models of channels from the stretches, to find bad samples
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the records."""
+        """Names of the records."""
         return tuple(one.stream.name for one in self.extents)
 
     @property
@@ -64,12 +64,12 @@ class Whole:
         return sum(one.n for one in self.extents)
 
     def counts(self, share: float) -> tuple[int, int]:
-        """Rows for training, and held out."""
+        """Number of training rows, and of held-out rows."""
         used = sum(one.cut(share) - one.start for one in self.extents)
         return used, self.n - used
 
     def design(self, motion: Motion, terms: Sequence[Expression], allowed: Bools, share: float) -> Design:
-        """A dictionary on the motion of stretches, with the statistics of all rows, a `share` held out."""
+        """The design on the motion of stretches, with moments of all rows, of which a `share` is held out."""
         roles, terms = motion.roles, tuple(terms)
         work = AsMeasured(self.extents, roles, terms, share)
         names, targets = tuple(term.text for term in terms), len(roles.targets)
@@ -83,7 +83,7 @@ class Whole:
         return replace(whole, scan=partial(self.residuals, work, whole))
 
     def record(self, former: RecordFit, motion: Motion, log: WarningLog) -> RecordFit:
-        """The likelihood of all rows about the fit to some of them, with levels of all rows."""
+        """The likelihood of all rows, expanded about the fit to stretches, with levels of noise from all rows too."""
         units = units_of(self.extents, BLOCK_ROWS)
         self.progress("likelihood beside the fit", 0, self.n)
         found, curve = former, curvature(former.task, former.fitted.state)
@@ -101,19 +101,19 @@ class Whole:
     def _about(
         self, at: RecordFit, curve: Curvature, motion: Motion, units: Sequence[Unit], stage: str
     ) -> tuple[RecordFit, Block, float]:
-        """The likelihood of some units about where a fit stands, and how far its levels were from theirs."""
+        """The fit to some units, expanded about the fit `at`; their block, and how far the levels moved."""
         task, state = at.task, at.fitted.state
         work = ByLikelihood.of(self.extents, motion, task, state, self.learned)
         levels = (*state.levels.free.tolist(), *task.layout.corners)
         about = (motion.roles, state.chosen.term.tolist(), state.theta.tolist(), levels)
         block = self._fold(work, units, stage, about)
-        if not block.samples:  # nothing that moves anything
+        if not block.samples:  # no usable samples
             return at.of_more(task, state, block.quadratic, block), block, 0.0
         task, state, quadratic, moved = relearned(task, state, block, curve)
         return at.of_more(task, state, quadratic, block), block, moved
 
     def _warn(self, block: Block, motion: Motion, log: WarningLog) -> None:
-        """Warn of rows that the likelihood of all rows does not hold, and of samples that are missing or were bad."""
+        """Warn about rows that could not be used, and samples that are missing or were left out as bad."""
         if block.lost:
             log.warn(
                 f"{block.lost:,} of {self.n:,} rows could not be used: look at them, or leave them out (--rows)",
@@ -129,7 +129,7 @@ class Whole:
                 )
 
     def residuals(self, work: AsMeasured, design: Design, k: int, posterior: Posterior, found: Residuals) -> Residuals:
-        """What was found of residuals of stretches, with the correlation of those of all training rows."""
+        """Residual statistics of the stretches, with lag-1 correlation and effective number of all training rows."""
         kept = np.flatnonzero(posterior.support)
         gram = design.train[k]
         mean = gram.target_mean - float(gram.mean[kept] @ posterior.coef[kept])

@@ -1,4 +1,4 @@
-"""Units of rows, and what is computed of each: moments of rows, residuals, or the likelihood about a fit."""
+"""Units of rows, and the statistics computed of each: moments, products of residuals, or the likelihood."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from bayeq.states.prepare import cleaned, divided_at_gaps
 
 Of = TypeVar("Of")
 
-#: Rows of each of the stretches that are looked at first.
+#: Rows of each of the stretches that are fitted first.
 ROWS_EACH = 5000
 
 
@@ -55,7 +55,7 @@ class Extent:
         return self.stop - self.start
 
     def read(self, start: int, stop: int) -> Record:
-        """Rows `start` to `stop` of the stream; without time their numbers are."""
+        """Rows `start` to `stop` of the stream; the row number is the time if there is no other."""
         (record,) = with_row_numbers([self.stream.read(start, stop)])
         if record.time is None or not counts_rows(record):
             return record
@@ -68,7 +68,7 @@ class Extent:
 
 @dataclass(frozen=True, order=True)
 class Unit:
-    """Rows that are read together: of which extent, by its number, and which."""
+    """Rows `start` to `stop` of the extent with number `extent`, which are read together."""
 
     extent: int
     start: int
@@ -98,7 +98,7 @@ def of_channels(extents: Sequence[Extent], channels: Sequence[str]) -> tuple[Ext
 
 
 def stretches(extents: Sequence[Extent]) -> list[Record]:
-    """Stretches spread evenly over some extents, all rows of short ones."""
+    """Records of stretches spread evenly over the extents; short extents are taken whole."""
     total = sum(one.n for one in extents)
     out: list[Record] = []
     for one in extents:
@@ -116,7 +116,7 @@ def stretches(extents: Sequence[Extent]) -> list[Record]:
 
 @dataclass(frozen=True)
 class Work(ABC, Generic[Of]):
-    """Something that is computed of units of rows, and can be added. It can be sent to other processes."""
+    """A statistic of units of rows whose values can be added; it can be sent to other processes."""
 
     extents: tuple[Extent, ...]
 
@@ -131,14 +131,14 @@ class Work(ABC, Generic[Of]):
 
     @abstractmethod
     def __call__(self, unit: Unit) -> Of:
-        """What is computed of a unit."""
+        """The statistic of a unit."""
 
 
 class Executor(Protocol):
-    """Who computes."""
+    """Computes a `Work` for units: threads or a cluster."""
 
     def map(self, work: Work[Of], units: Sequence[Unit]) -> Iterator[tuple[int, Of]]:
-        """What is computed of consecutive units, in order: how many of them, and their sum."""
+        """Yield, in order, a number of consecutive units and the sum of their statistics."""
         ...
 
 
@@ -149,7 +149,7 @@ class Threads:
         self.workers = workers
 
     def map(self, work: Work[Of], units: Sequence[Unit]) -> Iterator[tuple[int, Of]]:
-        """One unit after the other."""
+        """Yield the statistics of single units, in order."""
         from joblib import cpu_count  # which takes a while to import
 
         workers = self.workers or cpu_count()
@@ -170,8 +170,8 @@ class Threads:
 def fold(
     work: Work[Of], units: Sequence[Unit], executor: Executor, progress: Progress, stage: str, kept: Any = None
 ) -> Of:
-    """The sum over units, of at least one, of what `work` computes; a Checkpoint, if given, keeps it on the way."""
-    # One name for both: wherever an interrupt falls, they belong together.
+    """The sum of a statistic over at least one unit; a Checkpoint `kept`, if given, saves intermediate sums."""
+    # One tuple, so that number and sum agree wherever an interrupt falls.
     so_far: tuple[int, Any] = (0, None) if kept is None else kept.load()
     rows = [0, *accumulate(unit.n for unit in units)]
     progress(stage, rows[so_far[0]], rows[-1])
@@ -192,24 +192,24 @@ def fold(
 
 Columns = dict[str, Floats]
 
-#: Rows whose likelihood is computed together: of the state before them nothing is known, which costs what some hundred
-#: rows tell; and the memory of 1 kB a row.
+#: Rows whose likelihood is computed together. The state before them is unknown, which costs the information of some
+#: hundred rows; each row takes 1 kB of memory.
 BLOCK_ROWS = 2**16
 
-# Rows whose terms are evaluated together: a block of some 40 columns, 0.6 MB, stays in a processor's second cache.
+# Rows whose terms are evaluated together: a block of some 40 columns, 0.6 MB, stays in the second-level cache.
 ROWS = 2048
 
 # The largest value whose square can be summed over any number of rows, and the square itself.
 LARGEST = 1e150
 LARGEST_SQUARE = LARGEST**2
 
-# Lags that are summed over: correlation reaches further in hardly any residual.
+# Number of lags; the correlation of residuals rarely reaches further.
 LAGS = 4096
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Folded:
-    """What is left of some rows."""
+    """Moments of some rows, and counts of unusable values."""
 
     # count, means and centred products of the columns of the dictionary and the targets; None without rows
     moments: Moments | None
@@ -227,7 +227,7 @@ class Folded:
 def _centred(
     code: NDArray[np.uint32], outputs: NDArray[np.uint32], registers: Floats, rows: int, shift: Floats, z: Floats
 ) -> None:
-    """The terms in the registers' variables, less `shift`, into the first rows of z (C, R)."""
+    """Evaluate the terms on the registers, and write them, less `shift`, to the first rows of z (C, R)."""
     run_on_rows(code, registers, rows)
     for i in range(len(outputs)):
         value, out, centre = registers[outputs[i]], z[i], shift[i]
@@ -261,7 +261,7 @@ def fold_columns(terms: Sequence[Expression], columns: Mapping[str, Floats], tar
             products = np.zeros_like(sums)
             add_products(z, rows, products)
             if not (np.diagonal(products) <= LARGEST_SQUARE).all():
-                # values that have no square are counted, and zeros are put in their places
+                # values too large to square, or not finite, are counted and replaced by zero
                 own, about = z[: len(terms), :rows], shift[: len(terms), None]
                 wrong = ~(np.abs(own + about) <= LARGEST)
                 bad += wrong.sum(axis=1)
@@ -276,7 +276,7 @@ def fold_columns(terms: Sequence[Expression], columns: Mapping[str, Floats], tar
 
 
 def _first_means(tape: Tape, outputs: NDArray[np.uint32], registers: Floats, rows: int) -> Floats:
-    """Means over the first block, 0 where they are not finite: what products are taken about."""
+    """Means over the first block (0 if not finite), about which products are summed."""
     z = np.zeros((len(outputs), rows))
     _centred(tape.code, outputs, registers, rows, np.zeros(len(outputs)), z)
     mean = z.mean(axis=1)
@@ -285,13 +285,13 @@ def _first_means(tape: Tape, outputs: NDArray[np.uint32], registers: Floats, row
 
 @dataclass(frozen=True)
 class OfRows:
-    """Moments of training rows and of rows held out, and the times between which they are."""
+    """Moments of training rows and of held-out rows, and times of the first and last row."""
 
-    # their moments
+    # moments of both
     train: Folded
     held_out: Folded
     extent: int  # the extent of the last row
-    # times of the first row and of the last one; NaN where they are not known
+    # times of the first and the last row [s]; NaN if unknown
     first: float
     last: float
 
@@ -307,15 +307,15 @@ class OfRows:
 
 @dataclass(frozen=True)
 class _Rows(Work[Of]):
-    """Something that is computed of rows as they are, states that are not measured by central differences."""
+    """A statistic of rows as measured; states that are not measured are estimated by central differences."""
 
     roles: Roles
-    terms: tuple[Expression, ...]  # that are evaluated
-    share: float  # of the rows of each extent, the last, held out
+    terms: tuple[Expression, ...]  # terms to evaluate
+    share: float  # share of the rows of each extent, the last ones, that is held out
 
     @property
     def reach(self) -> int:
-        """Rows beside a unit that central differences look at."""
+        """Rows before and after a unit that central differences need."""
         estimated = any(name is None for chain in self.roles.chains for name in chain.measured)
         return max(chain.order for chain in self.roles.chains) if estimated else 0
 
@@ -357,7 +357,7 @@ class Lagged:
 
     @classmethod
     def of(cls, e: Floats, extent: int) -> Lagged:
-        """Of the residuals of consecutive rows."""
+        """Sums for the residuals e (n,) of consecutive rows."""
         return cls(_products(e, e), e[: LAGS - 1], e[-(LAGS - 1) :], extent, len(e))
 
     def __add__(self, other: Lagged) -> Lagged:
@@ -380,11 +380,11 @@ def _products(a: Floats, b: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class LaggedResiduals(_Rows[Lagged]):
-    """Products of the residuals of the training rows, for which `terms` are those of a model; see `_Rows`."""
+    """Products of the residuals of the training rows of a model with these `terms`; see `_Rows`."""
 
     target: str
     coef: Floats  # (r,); coefficients of the terms
-    constant: float  # what is subtracted further, so that the mean is zero
+    constant: float  # subtracted from the residuals, so that their mean is zero
 
     def __call__(self, unit: Unit) -> Lagged:
         columns = self.columns(unit)[0]
@@ -397,16 +397,16 @@ class LaggedResiduals(_Rows[Lagged]):
 
 @dataclass(frozen=True)
 class ByLikelihood(Work[Block]):
-    """The likelihood of the rows about a fit to some of them."""
+    """The likelihood of the rows, expanded about a fit to some of them."""
 
-    motion: Motion  # how rows are smoothed; its own rows are not needed
+    motion: Motion  # settings of the smoother; its records are removed
     task: Task
-    state: State  # with the task the fit
-    learned: Learned  # what bad samples are judged by
+    state: State  # of the fit
+    learned: Learned  # models of channels, to find bad samples
 
     @classmethod
     def of(cls, extents: Sequence[Extent], motion: Motion, task: Task, state: State, learned: Learned) -> Self:
-        """Without the rows and paths of the fit, so that it is small."""
+        """The work without the records and paths of the fit, so that it is small to send."""
         motion = replace(motion, records=(), cuts=())
         task = replace(task, series=())
         return cls(tuple(extents), motion, task, replace(state, paths=(), blurs=()), learned)

@@ -1,1 +1,1 @@
-"""Which excitation of a next measurement tells the most: between models that are undecided, or of coefficients."""
+"""Plans the excitation of the next measurement, to discriminate between models or to learn the coefficients."""

@@ -1,4 +1,4 @@
-"""Designs that a plan compares, a kind of excitation and a band each, and the conditions that they are run under."""
+"""Designs that a plan compares, each a kind of excitation and a band, and the conditions of their simulation."""
 
 from __future__ import annotations
 
@@ -22,26 +22,26 @@ from bayeq.records import Record
 
 Band = tuple[float, float]
 
-# A line at the end of a band belongs to it, in spite of rounding.
+# A spectral line within this relative distance of the end of a band belongs to the band.
 ROUNDING = 1e-9
 
-# The spectrum of a sweep of B Hz in T s falls off over some sqrt(B/T) beyond its ends. The sweep stays this multiple of
-# that off the ends of the band: of 6000 bands at least 96 % of the power was inside for B T above 20, 93 % above 10.
+# The spectrum of a sweep of B Hz in T s falls off over about sqrt(B/T) beyond its ends. The sweep stays this multiple
+# of sqrt(B/T) inside the band: in 6000 bands at least 96 % of the power was inside for B T above 20, 93 % above 10.
 INSET = 0.5
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Excitation:
-    """A row of the table."""
+    """A kind of excitation, a row of `EXCITATIONS`."""
 
-    title: str  # what it is, with its article
+    title: str  # its name in a sentence, with the article
     # ``samples(n, fs, band, rng)``: n samples at fs [Hz] with their power within ``(lo, hi)`` [Hz], the largest
-    # magnitude 1. What is random in it comes from the generator.
+    # magnitude 1; `rng` makes the random choices.
     samples: Callable[[int, float, Band, np.random.Generator], Floats]
 
 
 def lines_within(n: int, fs: float, band: Band, odd: bool = False) -> NDArray[np.intp]:
-    """Multiples of fs/n within a band, above 0 and below fs/2, or the odd ones alone; InputError if there are none."""
+    """Numbers k of the lines k fs/n in a band, above 0 and below fs/2, or only odd k; InputError if there are none."""
     line = np.arange(1, (n + 1) // 2)
     frequency = line * fs / n
     inside = (frequency >= band[0] * (1.0 - ROUNDING)) & (frequency <= band[1] * (1.0 + ROUNDING))
@@ -76,12 +76,12 @@ def multisine(n: int, fs: float, band: Band, rng: np.random.Generator) -> Floats
 
 
 def sweep(n: int, fs: float, band: Band, rng: np.random.Generator) -> Floats:
-    """One linear sweep (chirp) from end to end of the band; its direction and its first phase are drawn."""
+    """One linear sweep (chirp) from end to end of the band; its direction and its initial phase are random."""
     seconds = n / fs
     lines_within(n, fs, band)
     low, high = band[0], min(band[1], 0.5 * fs)
     inset = min(INSET * math.sqrt((high - low) / seconds), 0.25 * (high - low))
-    # below frequency 0 there is nothing to fall off to
+    # no inset at frequency 0: there is no spectrum below
     start, end = low + inset if low > 0.0 else low, high - inset
     if rng.random() < 0.5:
         start, end = end, start
@@ -102,22 +102,22 @@ Amplitude = float | tuple[float, float]
 # A plan is made for this many samples by default: longer ones take longer to simulate and rank the same.
 SAMPLES = 4000
 
-# Fewer samples than this are no spectrum.
+# Least number of samples, for a spectrum with some lines.
 LEAST_SAMPLES = 16
 
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """Records as a plan needs them."""
+    """Summary of records for a plan: sampling, ranges of channels, bands of inputs."""
 
     fs: float | None = None  # rate [Hz] of the longest one; None without time
-    seconds: float | None = None  # its length
-    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # ends of the samples of every channel
-    bands: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # [Hz], where the power of every input is
+    seconds: float | None = None  # length of the longest one [s]
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # least and largest sample
+    bands: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # band of each input's power [Hz]
 
     @classmethod
     def of(cls, records: Sequence[Record], channels: Sequence[str], inputs: Sequence[str]) -> Self:
-        """Of records that have these channels."""
+        """The summary of records that have these channels and inputs."""
         longest = max(records, key=lambda record: record.n)
         fs = longest.fs
         ranges = {}
@@ -130,7 +130,7 @@ class Measured:
 
 
 def band_of(samples: NDArray[np.float64], fs: float) -> tuple[float, float] | None:
-    """Frequencies [Hz] between which the power of a signal is; None of a constant.
+    """Band [Hz] that holds the power of a signal, except small shares at both ends; None for a constant.
 
     >>> time = np.arange(1000) / 100
     >>> low, high = band_of(np.sin(2 * np.pi * 3 * time) + np.sin(2 * np.pi * 7 * time), fs=100)
@@ -146,27 +146,27 @@ def band_of(samples: NDArray[np.float64], fs: float) -> tuple[float, float] | No
     if power.sum() <= 0.0:
         return None
     share = np.cumsum(power) / power.sum()
-    # the first line from which on more than a share has passed, and the one that completes all but one
+    # lines at which the cumulative power reaches the share cut off below, and all but the share cut off above
     low, high = np.searchsorted(share, (PLAN.power_below, 1.0 - PLAN.power_above))
     return float(low * fs / len(samples)), float(high * fs / len(samples))
 
 
 @dataclass(frozen=True, eq=False)
 class Conditions:
-    """What may be done, and what is known."""
+    """Ranges, band, sampling, noise and limits of the measurement that is planned."""
 
     offset: Floats  # (m,), middle of the range of each input
     reach: Floats  # (m,), half its width
     band: tuple[float, float]  # [Hz]
     n: int  # samples
-    fs: float  # their rate [Hz]
-    noise: tuple[float, ...]  # standard deviation of that of every target
+    fs: float  # sampling rate [Hz]
+    noise: tuple[float, ...]  # standard deviation of the noise of every target
     limits: Mapping[str, float]  # largest magnitude of states
-    ranges: Mapping[str, tuple[float, float]]  # of the channels of the record
+    ranges: Mapping[str, tuple[float, float]]  # of the channels of the record, least and largest
 
     @property
     def seconds(self) -> float:
-        """Length of the measurement."""
+        """Length of the measurement [s]."""
         return self.n / self.fs
 
 
@@ -183,7 +183,7 @@ def conditions_of(
     given_noise: Mapping[str, float],
     limits: Mapping[str, float],
 ) -> Conditions:
-    """What was asked for, see `bayeq.Equations.plan`, and the rest from the record, `noise` from the equations."""
+    """The conditions given to `bayeq.Equations.plan`; defaults are from the record, of noise from the equations."""
     rate = _positive("fs", fs if fs is not None else _known(measured.fs, "the sampling rate", "fs"))
     length = seconds
     if length is None:
@@ -226,7 +226,7 @@ def _known(value: float | None, what: str, argument: str) -> float:
 def _span(
     name: str, amplitude: Amplitude | Mapping[str, Amplitude] | None, measured: Measured, inputs: Sequence[str]
 ) -> tuple[float, float]:
-    """The range of an input: that given, else that of the record."""
+    """The range of an input: as given, else that of the record."""
     if isinstance(amplitude, Mapping):
         for key in amplitude:
             if key not in inputs:
@@ -237,7 +237,7 @@ def _span(
             raise InputError(f"the range of {name} is not known from the record: give amplitude")
         low, high = measured.ranges[name]
         least, most = sorted((-low, high))
-        if least > PLAN.signed * most:  # of both signs: as far as both go
+        if least > PLAN.signed * most:  # the input has both signs: make its range symmetric
             low, high = -least, least
     elif isinstance(amplitude, (int, float)):
         high = _positive(f"amplitude of {name}", amplitude)
@@ -267,10 +267,10 @@ def _band(
     return float(low), float(high)
 
 
-# Amplitudes, as shares of the range allowed: where the range is the best amplitude, the half says by how much.
+# Amplitudes, as shares of the range allowed: half of it shows how much the full range gains.
 SHARES = (1.0, 0.5)
 
-# Besides the whole band, this many parts of it, equal in octaves.
+# Besides the whole band, this many parts of it are tried, equally wide in octaves.
 PARTS = 3
 
 # The largest amplitude within limits is found to 0.1 % of the range.
@@ -279,19 +279,19 @@ STEPS = 1024
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """A kind of excitation, a row of `EXCITATIONS`, and its band [Hz], to be applied at the whole amplitude or less."""
+    """A kind of excitation, a key of `EXCITATIONS`, and its band [Hz]."""
 
     kind: str
     band: tuple[float, float]
 
 
 def designs_for(conditions: Conditions, parameters: int) -> list[Design]:
-    """All designs within the conditions, for models of this many parameters at most.
+    """All designs within the conditions, for models of at most `parameters` coefficients.
 
-    A part of the band is left out if its odd lines are too few to tell the parameters: k sines are persistently
+    A part of the band is left out if its odd lines are too few to identify the parameters: k sines are persistently
     exciting of order 2 k (Ljung 1999, section 13.2).
     """
-    lines_within(conditions.n, conditions.fs, conditions.band, odd=True)  # raises where there are none
+    lines_within(conditions.n, conditions.fs, conditions.band, odd=True)  # raises if the band has no lines
     low, high = max(conditions.band[0], 1.0 / conditions.seconds), conditions.band[1]
     parts = pairwise(np.geomspace(low, high, PARTS + 1).tolist()) if low < high else ()
     bands = [conditions.band, *(part for part in parts if _lines(conditions, part) * 2 >= parameters)]
@@ -306,14 +306,14 @@ def _lines(conditions: Conditions, band: tuple[float, float]) -> int:
 
 
 def shapes(design: Design, conditions: Conditions, seed: tuple[int, ...]) -> Floats:
-    """One realisation for all inputs, (n, m), largest magnitudes 1: independent of each other."""
+    """One realisation, (n, m): independent signals for the m inputs, each of largest magnitude 1."""
     rng, samples = np.random.default_rng(seed), EXCITATIONS[design.kind].samples
     return np.column_stack([samples(conditions.n, conditions.fs, design.band, rng) for _ in conditions.reach])
 
 
 class Motions:
-    """Free runs of some dynamics from rest: the equilibrium under the middle of the inputs, if there is one within the
-    range of the record; else coordinates are in the middle of their range (0 where it is not known)."""
+    """Free runs of a system from rest: from the equilibrium under the offsets of the inputs, if one is within the range
+    of the record; else from the middle of the range of each coordinate (0 where it is not known), without velocity."""
 
     def __init__(self, dynamics: Dynamics, conditions: Conditions) -> None:
         self.dynamics = dynamics
@@ -342,7 +342,7 @@ class Motions:
         return np.asarray(found.x) if found.success and (inside & np.isfinite(found.x)).all() else middle
 
     def run(self, shape: Floats, share: float) -> Mapping[str, Floats] | None:
-        """States and inputs under ``offset + share reach shape``, of shape (n, m); None if they leave every range."""
+        """States and inputs, (n,) each, under the inputs ``offset + share reach shape``; None if the run diverges."""
         c = self.conditions
         inputs = c.offset + share * c.reach * shape
         time = np.arange(c.n) / c.fs
@@ -353,7 +353,7 @@ class Motions:
         return dict(zip((*self.dynamics.states, *self.dynamics.roles.inputs), (*states.T, *inputs.T), strict=True))
 
     def largest_share(self, realisations: Sequence[Floats]) -> float:
-        """The largest share of the amplitude with which all realisations keep the limits, 0 if not a thousandth."""
+        """The largest share of the amplitude with which all realisations keep the limits, 0 if 1/1024 does not."""
         limits = self.conditions.limits.items()
 
         def kept(share: float) -> bool:

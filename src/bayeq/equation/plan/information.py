@@ -1,14 +1,14 @@
-"""The likeliest models of an equation, and what a motion says of them: expected log Bayes factors.
+"""The likeliest models of an equation, and the expected log Bayes factors between them along a motion.
 
 Two models of a target y, with terms D_L and D_R, are both fitted to a new record. With noise of variance sigma^2 the
 log Bayes factor of a true L against R, by Schwarz's approximation of both evidences, is expected to be
 
     E ln B = lambda + (r_R - r_L) (ln n - 1)/2,    lambda = min over b of |D_L theta_L - D_R b|^2 / (2 sigma^2),
 
-r the numbers of coefficients: lambda is what R cannot imitate of L along L's motion, even with coefficients of its own
-(Atkinson and Fedorov 1975). It grows with the length of the record; of a model that contains L it is zero, and only the
-Occam factor grows. With noise sigma^2, terms D and a prior covariance S of the coefficients, what a record is expected
-to tell of these is (Lindley 1956; Chaloner and Verdinelli 1995) 1/2 ln det(I + S D'D/sigma^2) nats.
+with r the numbers of coefficients: lambda is the misfit of R, with coefficients of its own, to the target of L along
+L's motion (Atkinson and Fedorov 1975). It grows with the length of the record; if R contains L it is zero, and only the
+Occam factor grows. With noise sigma^2, terms D and a prior covariance S of the coefficients, the expected information
+about them in a record is 1/2 ln det(I + S D'D/sigma^2) nats (Lindley 1956; Chaloner and Verdinelli 1995).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from bayeq.inference.posterior import Posterior
 from bayeq.numerics.settings import PLAN
 from bayeq.regression.fit import RegressionFit
 
-# Models that are kept with an equation.
+# Number of likeliest models that are kept with an equation.
 KEPT = 10
 
 
@@ -34,13 +34,13 @@ KEPT = 10
 class CandidateModel:
     """A model of one equation."""
 
-    probability: float  # of an engine that does not average, relative to its neighbours
-    members: tuple[int, ...]  # places of its terms among the candidates
+    probability: float  # posterior probability; without model averaging among the model found and its neighbours
+    members: tuple[int, ...]  # indices of its terms among the candidates
     coef: tuple[float, ...]  # posterior means given the model, in original units
     intercept: float
 
     def posterior(self, like: Posterior) -> Posterior:
-        """The model as a posterior: coefficients without a covariance, the rest that of another model."""
+        """The model as a posterior with a covariance of zero; all other fields are those of `like`."""
         index, size = np.array(self.members, dtype=np.intp), len(self.members)
         support, coef = np.zeros(len(like.names), dtype=np.bool_), np.zeros(len(like.names))
         support[index], coef[index] = True, self.coef
@@ -54,7 +54,7 @@ class CandidateModel:
 
 
 def likeliest_models(fit: RegressionFit) -> tuple[CandidateModel, ...]:
-    """The likeliest models, best first: those of the average, or the one found and, by their odds, its neighbours."""
+    """The likeliest models, best first: of the model average, else the model found and its neighbours by their odds."""
     posterior, out = fit.posterior, []
     if posterior.average is not None:
         models, probability = posterior.average.models, posterior.average.probability
@@ -74,7 +74,7 @@ def likeliest_models(fit: RegressionFit) -> tuple[CandidateModel, ...]:
     return tuple(out)
 
 
-# Directions of the centred and scaled terms below this share of the largest are rounding.
+# Singular values of the centred and scaled terms below this share of the largest are rounding.
 RANK = 1e-10
 
 
@@ -87,7 +87,7 @@ def _centred(D: Floats) -> tuple[Floats, Floats]:
 
 
 def unexplained(y: Floats, D: Floats) -> float:
-    """Sum of squares that least squares on the columns of D, with an intercept, leaves of y.
+    """Residual sum of squares of y after least squares on the columns of D and an intercept.
 
     >>> x = np.linspace(-1, 1, 1001)
     >>> unexplained(3 * x + 2, x[:, None]) < 1e-20
@@ -105,8 +105,8 @@ def unexplained(y: Floats, D: Floats) -> float:
 def seconds_until(needed: float, rate: float, occam: float, fs: float) -> float:
     """Time after which ``rate t + occam (ln(fs t) - 1)/2`` stays at or above `needed`; infinite if it never does.
 
-    `needed` in nats, `rate` is lambda by second, at least 0, `occam` the coefficients that the rival has more, `fs` in
-    Hz.
+    `needed` is in nats, `rate` is lambda per second, at least 0, `occam` the number of coefficients of the rival less
+    that of the true model, and `fs` in Hz.
 
     >>> round(seconds_until(10.0, 2.0, 0, 100.0), 6)
     5.0
@@ -119,7 +119,7 @@ def seconds_until(needed: float, rate: float, occam: float, fs: float) -> float:
 
     if rate <= 0.0 and occam <= 0:
         return 0.0 if occam == 0 and needed <= 0 else math.inf
-    # no record is shorter than a sample; from the minimum of the sum on it rises
+    # a record has at least one sample; beyond its minimum `value` rises
     low = 1.0 / fs if occam >= 0 else max(1.0 / fs, -0.5 * occam / rate)
     if value(low) >= needed:
         return low if occam < 0 or needed > 0 else 0.0
@@ -129,7 +129,7 @@ def seconds_until(needed: float, rate: float, occam: float, fs: float) -> float:
 def coefficient_gain(D: Floats, covariance: Floats, noise_variance: float) -> Floats:
     """Eigenvalues of S D'D/sigma^2 with the columns centred, (r,): the gain is half the sum of ln(1 + each)."""
     Z, scale = _centred(D)
-    # in units in which the columns have length 1
+    # prior covariance in units in which the columns have length 1
     prior = covariance * np.outer(scale, scale) / noise_variance
     values, vectors = np.linalg.eigh(0.5 * (prior + prior.T))
     root = vectors * np.sqrt(np.maximum(values, 0.0))
@@ -137,7 +137,7 @@ def coefficient_gain(D: Floats, covariance: Floats, noise_variance: float) -> Fl
 
 
 def seconds_to_halve(gains: Floats, seconds: float) -> float:
-    """Time that halves standard deviations in the geometric mean; `gains` are those of all equations in `seconds`."""
+    """Time [s] that halves the geometric mean of standard deviations; `gains` of all equations are after `seconds`."""
     wanted = len(gains) * math.log(2.0)
 
     def value(t: float) -> float:
@@ -149,7 +149,7 @@ def seconds_to_halve(gains: Floats, seconds: float) -> float:
 
 
 def _reached(value: Callable[[float], float], needed: float, low: float, high: float) -> float:
-    """Where a rising function reaches a value, not before `low` and perhaps beyond `high`; infinite if nowhere."""
+    """Argument at which a rising function reaches `needed`, from `low` on, maybe beyond `high`; infinite if none."""
     from scipy.optimize import brentq
 
     while value(high) < needed:

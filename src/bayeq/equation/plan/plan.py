@@ -1,4 +1,4 @@
-"""`plan_excitation`: designs simulated, and ranked by what they are expected to tell per second."""
+"""`plan_excitation`: simulates designs and ranks them by the information per second expected from them."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Rival:
-    """A model to tell the leading one of equation `k` from, and motion if it were true."""
+    """A rival of the leading model of equation `k`, with the free runs of the system if the rival is true."""
 
     k: int
     model: Posterior
@@ -53,7 +53,7 @@ def plan_excitation(
     seed: int,
     progress: Progress,
 ) -> Plan:
-    """Compare excitations of all inputs by what they are expected to tell; see `bayeq.Equations.plan`."""
+    """Compare excitations of all inputs by the information expected from them; see `bayeq.Equations.plan`."""
     if not (math.isfinite(odds) and odds > 1):
         raise InputError(f"odds must be a number above 1, not {odds!r}")
     whole_number("realisations", realisations, 2)
@@ -63,7 +63,7 @@ def plan_excitation(
 
 
 class _Planning:
-    """Equations with the models that a measurement is to tell apart, and the conditions of it."""
+    """Leading models and rivals of equations, and the conditions of the measurement that is to distinguish them."""
 
     def __init__(self, equations: Sequence[Equation], roles: Roles, conditions: Conditions, odds: float) -> None:
         self.equations, self.roles, self.conditions, self.odds = equations, roles, conditions, odds
@@ -140,7 +140,7 @@ class _Planning:
         )
 
     def _outcome(self, design: Design, realised: Sequence[Floats], share: float) -> Outcome:
-        """What realisations of a design, at a share of the amplitude that keeps the limits, are expected to tell."""
+        """Information expected from realisations of a design, at a share of the amplitude that keeps the limits."""
         lead, seconds_each = self.lead, self.conditions.seconds
         runs = [run for shape in realised if (run := lead.run(shape, share)) is not None]
         peaks = {name: float(np.mean([np.abs(run[name]).max() for run in runs])) for name in self.roles.states}
@@ -166,7 +166,7 @@ class _Planning:
     def _separation(
         self, rival: Rival, place: int, runs: Sequence[Mapping[str, Floats]], own: Sequence[Mapping[str, Floats] | None]
     ) -> Separation:
-        """How some realisations tell a rival: of the leading model's motion, and of the rival's own."""
+        """How well realisations distinguish a rival: `runs` of the leading model, and `own` runs of the rival."""
         equation, leading, fs = self.equations[rival.k], self.leading[rival.k], self.conditions.fs
         scale = 2.0 * self.conditions.noise[rival.k] ** 2 * self.conditions.seconds
         ahead = np.array([_inimitable(equation, leading, rival.model, run) for run in runs]) / scale
@@ -179,10 +179,10 @@ class _Planning:
         if if_rival is not None:
             seconds = seconds_until(wanted + rival.log_odds, if_rival, -extra, fs)
             cases.append((rival.model, leading, behind[np.isfinite(behind)], seconds))
-        # of nested models the smaller is never shown by the motion
+        # motion never shows that the smaller of nested models is true
         shown = [(rates, seconds) for true, other, rates, seconds in cases if not _contains(other, true)]
         by_size = [seconds for true, other, _, seconds in cases if _contains(other, true)]
-        if not shown:  # the larger of nested models runs away
+        if not shown:  # the runs of the larger of nested models diverge
             shown = [(np.zeros(len(ahead)), math.inf)]
         rates = min((rates for rates, _ in shown), key=np.mean)
         return Separation(
@@ -197,7 +197,7 @@ class _Planning:
 
 
 def _leading(equation: Equation) -> Posterior:
-    """The likeliest model; with the coefficients of the terms shown, where it is theirs: these may be refined."""
+    """The likeliest model; if it has the terms shown, with the coefficients shown, which may be refined."""
     shown, likeliest = equation.shown_posterior, equation.models[0]
     return shown if _members(shown) == likeliest.members else likeliest.posterior(shown)
 
@@ -213,7 +213,7 @@ def _named(equation: Equation, leading: Posterior) -> Compared:
 
 
 def _compared(equation: Equation, leading: Posterior, model: CandidateModel) -> Compared:
-    """A rival by the terms that it has more and less than the leading model."""
+    """A rival, named by the terms that it adds to the leading model and that it drops."""
     own = _members(leading)
     more = ", ".join(equation.terms[j].text for j in model.members if j not in own)
     less = ", ".join(equation.terms[j].text for j in own if j not in model.members)
@@ -226,7 +226,7 @@ def _contains(one: Posterior, other: Posterior) -> bool:
 
 
 def _inimitable(equation: Equation, true: Posterior, other: Posterior, run: Mapping[str, Floats]) -> float:
-    """Sum of squares of the true model's target along a motion that the other one, fitted to it, leaves."""
+    """Residual sum of squares of the other model, fitted to the target of the true one along a free run."""
     if _contains(other, true):
         return 0.0
     y = _columns(equation, true, run) @ true.coef[true.support]

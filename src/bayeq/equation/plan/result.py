@@ -1,4 +1,4 @@
-"""What a plan says: designs compared, the best first, as records, a table and text."""
+"""`Plan`: the designs that were compared, the best first, as data, table, figure and text."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ LISTED = 12
 # Designs that are drawn, the best from the top.
 DRAWN = 16
 
-# The figure [mm]: a row for each design, the least number of rows, and what is around them.
+# Figure: height of a design's row [mm], least number of rows, margins around them [mm].
 ROW, LEAST_ROWS, AROUND = 4.4, 12, 18.0
 
-# Colours and markers of kinds, in the order in which they come; more than these repeat.
+# Colour and marker of each kind of excitation, repeated if there are more kinds.
 LOOKS = ((BLUE, "o"), (ORANGE, "s"), (RED, "^"), (BLACK, "D"))
 
 # The best excitation is drawn over this many periods of the middle of its band.
 PERIODS = 20
 
-# Values below this share of the best are not told from none.
+# The axis of information rates begins no lower than this share of the best.
 LEAST = 1e-4
 
-# Longer than this [s], ten years, no measurement takes.
+# Times from this on [s], ten years, are written as never.
 NEVER = 3e8
 
 
@@ -53,78 +53,78 @@ NEVER = 3e8
 class Compared:
     """A model that a plan compares."""
 
-    target: str  # of its equation
-    name: str  # the terms, of the leading model; for a rival, in what it differs from that
-    # None of a leading model that is not among the likeliest: the terms shown may leave out some within a tolerance
+    target: str  # target of its equation
+    name: str  # the terms of a leading model; for a rival, how its terms differ from the leading model's
+    # None for a leading model that is not among the likeliest: terms may have been left out within a tolerance
     probability: float | None
 
 
 @dataclass(frozen=True, slots=True)
 class Separation:
-    """How a design tells the leading model from one rival."""
+    """How well a design distinguishes the leading model from one rival."""
 
-    rival: int  # place among the rivals of the plan
-    # what the wrong one of the two cannot imitate of the true one, lambda per second, in the less favourable case; mean
-    # and standard deviation over realisations [nats/s]
+    rival: int  # index into the rivals of the plan
+    # information rate: lambda per second, by which the wrong model cannot fit the true one's motion, in the less
+    # favourable case; mean and standard deviation over realisations [nats/s]
     rate: float
     sd: float
-    # the same if the leading model is true, and if the rival is; None of a rival whose run leaves every range. Where
-    # one model contains the other, only the case counts in which the larger is true
+    # mean rate if the leading model is true, and if the rival is (None if its runs diverge). Of nested models, `rate`
+    # counts only the case that the larger is true
     if_leading: float
     if_rival: float | None
-    # until the odds for the true one of the two are expected to reach those wanted; the longer of both cases. Where one
-    # contains the other, if the larger is true
+    # time [s] until the odds for the true model are expected to reach the odds wanted; the longer of both cases, or of
+    # nested models the case that the larger is true
     seconds: float
-    # where one contains the other, the same time if the smaller is true: motion cannot show that, and only the Occam
-    # factor grows
+    # for nested models, the time if the smaller is true: motion cannot show it, only the Occam factor grows; else None
     by_size: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """A design and what it is expected to tell."""
+    """A design and the information that it is expected to give."""
 
     design: Design
-    amplitudes: Mapping[str, float]  # of each input about its middle
-    limited: bool  # whether a limit decided the amplitude
-    # information by second [nats/s], mean and standard deviation over realisations: against the closest rival, or of
-    # the coefficients
+    amplitudes: Mapping[str, float]  # amplitude of each input about its offset
+    limited: bool  # whether limits on the motion reduced the amplitude
+    # information rate [nats/s], mean and standard deviation over realisations: against the closest rival, or about the
+    # coefficients
     rate: float
     sd: float
-    # until the models can be told apart (if the larger of nested ones is true), or until standard deviations of the
-    # coefficients are halved
+    # time [s] until all models are expected to be distinguished (of nested ones if the larger is true), or until the
+    # standard deviations of the coefficients are halved
     seconds: float
-    peaks: Mapping[str, float]  # largest magnitude of every state, in the mean over realisations
-    separations: tuple[Separation, ...] = ()  # the closest rival first; empty where the coefficients are planned for
+    peaks: Mapping[str, float]  # largest magnitude of every state, averaged over realisations
+    separations: tuple[Separation, ...] = ()  # the closest rival first; empty if the plan is for the coefficients
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Designs compared by simulation, the one that tells most per second first.
+    """Designs compared by simulation, the one with the highest information rate first.
 
     Attributes
     ----------
     purpose : "models" or "coefficients"
-        What the next measurement is to tell.
+        Whether the next measurement is to distinguish models or to learn coefficients.
     leading : tuple of Compared
         The likeliest model of each equation.
     rivals : tuple of Compared
-        The models that these are to be told from.
+        The models that the measurement is to distinguish from the leading ones.
     decided : Compared or None
-        The likeliest rival where none is within the odds, so that the coefficients are planned for.
+        The likeliest other model, if none is within the odds wanted; the plan is then for the coefficients.
     outcomes : tuple of Outcome
+        The designs, the best first.
     time : (n,) array
-        Of the best excitation [s].
+        Times of the best excitation [s].
     inputs : mapping of str to (n,) array
-        The best excitation, its first realisation.
+        First realisation of the best excitation.
     offsets : mapping of str to float
         Middle of each input.
     odds : float
-        That are wanted.
+        Odds at which two models count as distinguished.
     conditions : mapping
         Band, seconds, fs, noise, limits, realisations, seed.
     units : mapping of str to str
-        Of channels, as far as they are known.
+        Units of channels, as far as they are known.
     ranges : mapping of str to float
         Largest magnitude of the channels of the record.
     """
@@ -144,21 +144,21 @@ class Plan:
 
     @property
     def best(self) -> Outcome:
-        """The design that tells most per second."""
+        """The design with the highest information rate."""
         return self.outcomes[0]
 
     def closest(self, outcome: Outcome) -> Compared | None:
-        """The rival that a design tells least of; None where coefficients are planned for.
+        """The rival that a design distinguishes least; None if the plan is for the coefficients.
 
         Parameters
         ----------
         outcome : Outcome
-            Of one design.
+            One of `outcomes`.
 
         Returns
         -------
         Compared or None
-            What the design is expected to tell about that rival.
+            The closest rival.
         """
         return self.rivals[outcome.separations[0].rival] if outcome.separations else None
 
@@ -226,7 +226,7 @@ class Plan:
         return json.dumps(self.to_dict(), allow_nan=False)
 
     def plot(self) -> Figure:
-        """Information by second of the designs, beside the spectrum and the first part of the best excitation."""
+        """Information rates of the designs; the spectrum and the beginning of the best excitation."""
         return _drawn(self)
 
     def write(self, file: str | Path) -> None:
@@ -258,7 +258,7 @@ def duration(seconds: float) -> str:
 
 
 def advice(plan: Plan) -> str:
-    """Which excitation to use and what it is expected to tell, as a sentence."""
+    """The best excitation and the information expected from it, as a sentence."""
     best = plan.best
     low, high = best.design.band
     what = (
@@ -363,7 +363,7 @@ def _models(plan: Plan) -> list[str]:
 
 
 def _notes(plan: Plan) -> Iterator[str]:
-    """How far the motion goes beyond the record, and what was simulated."""
+    """Notes on how far the motion exceeds that of the record, and on the conditions of the simulation."""
     peaks, c = plan.best.peaks, plan.conditions
     ratios = {name: peak / plan.ranges[name] for name, peak in peaks.items() if plan.ranges.get(name, 0.0) > 0}
     if ratios:
@@ -382,7 +382,7 @@ def _notes(plan: Plan) -> Iterator[str]:
 
 @picture
 def _drawn(plan: Plan) -> Figure:
-    """Information by second of each design (left), spectrum and first part of the best excitation (right)."""
+    """Information rate of each design (left), spectrum and beginning of the best excitation (right)."""
     shown = plan.outcomes[:DRAWN]
     figure = new_figure(FULL_WIDTH, AROUND + ROW * max(len(shown), LEAST_ROWS), layout="constrained")
     axes = figure.subplot_mosaic([["rates", "spectrum"], ["rates", "start"]])
@@ -390,7 +390,7 @@ def _drawn(plan: Plan) -> Figure:
     spectrum, start = axes["spectrum"], axes["start"]
     n, dt, (low, high) = len(plan.time), float(plan.time[1] - plan.time[0]), plan.best.design.band
     frequency, first = np.fft.rfftfreq(n, dt), plan.time <= PERIODS * 2.0 / (low + high)
-    # lines beyond the band tell nothing but rounding and the skirts of a sweep
+    # lines beyond the band hold only rounding errors and the skirts of a sweep
     near = (frequency >= low - 0.25 * (high - low)) & (frequency <= high + 0.25 * (high - low))
     for k, (name, samples) in enumerate(plan.inputs.items()):
         look: dict[str, Any] = {"color": LOOKS[k % len(LOOKS)][0], "linewidth": 0.8}
@@ -414,10 +414,10 @@ def _drawn(plan: Plan) -> Figure:
 
 
 def _rates(ax: Axes, shown: Sequence[Outcome], units: Mapping[str, str], purpose: str) -> None:
-    """A row per design, the mean and one standard deviation to either side."""
+    """Draw a row per design: the mean rate and one standard deviation to either side."""
     kinds = sorted({one.design.kind for one in shown})
     best = max(shown[0].rate, np.finfo(float).tiny)
-    # a spread that reaches down to nothing ends at the edge
+    # a spread that reaches zero ends at the left edge
     least = max(0.5 * min(one.rate for one in shown), LEAST * best)
     labels = []
     for row, one in enumerate(shown):

@@ -1,14 +1,14 @@
-"""Output-error estimation: parameters whose free run comes closest to what was measured, and how well they are known.
+"""Output-error estimation: parameters whose free run comes closest to the measured channels, with their covariance.
 
-It is the likelihood of the records with exact inputs and without a discrepancy: a path that is free at every sample
-follows them from the first step, and ends as a run that nothing but noise separates from the samples. That is multiple
-shooting (Bock 1981) with a segment for each sample. Discrepancies shrink from fit to fit, to a ten thousandth of the
-target, which errors of the inputs' courses make anyway.
+It maximises the likelihood of the records with exact inputs and next to no discrepancy (process noise). In the first
+fit the path is free at every sample and follows the record, which is multiple shooting (Bock 1981) with a segment for
+each sample. The discrepancy shrinks from fit to fit, to 1e-4 of the target, which errors of the inputs' courses make
+anyway; the path is then a free run, and only noise separates it from the samples.
 
-The covariance takes what the run leaves as noise of the channels, independent from sample to sample. Forces that the
-record does not show, noise in a measured one or terms that are missing, drive the true motion away from the run, and
-what is left then has the memory of the system. Whether it is so is tested (White 1982), and the covariance is that
-much wider.
+The covariance assumes that the residuals of the run are noise of the channels, independent from sample to sample.
+Forces that are not in the record, noise of a measured force or missing terms drive the true motion away from the run:
+residuals then have the memory of the system. This is tested (White 1982), and the covariance is widened by the factor
+found.
 """
 
 from __future__ import annotations
@@ -35,23 +35,23 @@ from bayeq.states import Motion
 # Sizes of discrepancies from fit to fit, as shares of the target.
 SIZES = (1e-2, 1e-3, 1e-4)
 
-# Steps of each fit at most, and the step that ends it, in standard deviations of the parameters. Steps to where the
-# likelihood is not finite are halved, at most so often.
+# Most steps of a fit; the step that ends it, in standard deviations of the parameters; most halvings, of steps to where
+# the likelihood is not finite.
 MOST_STEPS, STEP, MOST_HALVED = 30, 1e-2, 8
 
-# Coefficients have this share of the precision that searches give them.
+# Prior precision of the coefficients, as a share of that in searches: nearly flat.
 FLAT = 1e-9
 
-# Blocks of rows that the covariance is tested with: enough for a variance of some certainty, and yet long against the
-# memory of the noise; fewer where one would have fewer rows than this.
+# Blocks of rows for the test of the covariance: enough to estimate a variance, each long against the memory of the
+# noise. There are fewer if a block would have fewer rows than BLOCK_ROWS.
 BLOCKS = 16
 BLOCK_ROWS = 8
 
-# Parameters are not told apart where the condition number of their scaled information exceeds this: three digits are
-# left of sixteen.
+# Parameters are not identifiable if the condition number of their scaled information matrix exceeds this: three digits
+# are left of sixteen.
 SINGULAR = 1e13
 
-# A parameter that is this near to a limit, as a share of it, is there.
+# A parameter within this relative distance of a limit is at the limit.
 ROUNDING = 1e-12
 
 
@@ -59,27 +59,25 @@ ROUNDING = 1e-12
 class OutputError:
     """Parameters by output error."""
 
-    parameters: (
-        Floats  # (p,), as in `Dynamics`; with known limits in doubt the mean of what they leave of the posterior
-    )
+    parameters: Floats  # (p,), as in `Dynamics`; with known limits the mean of the posterior within them
     covariance: Floats  # (p, p), singular where parameters follow from others
-    free: Bools  # (p,), those that do not
-    # factor by which the covariance is wider than that of independent noise; 1 where what is left looks like that
+    free: Bools  # (p,), whether a parameter is free, not one that follows from others
+    # factor by which the covariance is wider than that of independent noise; 1 if residuals look independent
     excess: float
-    at_bound: Floats  # (p,), 0 or a bound of parameters that were there where runs were closest; NaN of others
-    contradicted: bool  # whether runs speak against these, by a likelihood ratio of more than a hundred
+    at_bound: Floats  # (p,), the bound (or 0) at which the fit put a parameter; NaN for other parameters
+    contradicted: bool  # whether runs contradict these bounds, by a likelihood ratio of more than a hundred
     noise_sd: Mapping[str, float]  # standard deviation of each channel's noise
-    # channels of which runs leave more than the noise that was given, and how many times its standard deviation:
-    # theirs is what runs leave
+    # channels whose residuals are larger than the given noise, by the ratio of standard deviations: their noise is
+    # estimated from the residuals
     misfit: Mapping[str, float]
-    interpolation: Interpolation  # of the inputs
+    interpolation: Interpolation  # interpolation of the inputs between samples
     converged: bool  # False if the last fit ended at a limit of steps
     log_likelihood: float
 
 
 @dataclass(frozen=True)
 class Unrefined:
-    """Why the parameters are better left as they are, and what to do."""
+    """The reason why parameters should stay as they are, and advice."""
 
     reason: str
     advice: str
@@ -90,16 +88,16 @@ NO_RUN = Unrefined("no free run follows the records", "check signs and terms, or
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """What is known of the parameters theta of `Dynamics`: theta = offset + basis phi, phi free ones within limits."""
+    """Constraints on the parameters of `Dynamics`: theta = offset + basis phi, the free ones, phi, within limits."""
 
-    offset: Floats  # (p,), equations between coefficients, solved
+    offset: Floats  # (p,), constant part of the solved equalities between coefficients
     basis: Floats  # (p, f)
-    free: Bools  # (p,), the parameters that phi is
+    free: Bools  # (p,), which parameters are free: phi = theta[free]
     limits: Floats  # (f, 2), least and largest phi, infinite where there are none
 
     @classmethod
     def of(cls, dynamics: Dynamics, constraints: Sequence[Constraints]) -> Self:
-        """What constraints, one per equation, say of its terms; InputError if they do not fit, or leave none free."""
+        """From constraints, one per equation; InputError if the terms shown violate them, or no parameter is free."""
         size = dynamics.size
         offset, basis = np.zeros(size), np.zeros((size, size))
         free, limits = np.ones(size, dtype=np.bool_), np.tile([-np.inf, np.inf], (size, 1))
@@ -126,11 +124,11 @@ class Known:
         return np.asarray(self.offset + self.basis @ phi)
 
     def start(self, theta: Floats) -> Floats:
-        """Parameters (p,) with the free ones of theta (p,), at their limits where they are beyond."""
+        """Parameters (p,) that follow from the free ones in theta (p,), which are clipped to their limits."""
         return self.full(np.clip(theta[self.free], *self.limits.T))
 
     def at_bound(self, theta: Floats) -> Floats:
-        """The limit of each parameter that is there, (p,); NaN of others."""
+        """The limit of each parameter that is at a limit, (p,); NaN for others."""
         out, phi = np.full(len(theta), np.nan), theta[self.free][:, None]
         there = np.abs(phi - self.limits) <= ROUNDING * np.abs(phi)
         out[self.free] = np.where(there.any(axis=1), np.where(there[:, 0], *self.limits.T), np.nan)
@@ -140,8 +138,8 @@ class Known:
 def output_error(
     motion: Motion, dynamics: Dynamics, parameters: Floats, known: Known, kinds: Sequence[Interpolation]
 ) -> OutputError | Unrefined:
-    """Output error on the training rows of a smoothed motion, from `parameters`, with the first of `kinds` of inputs'
-    courses between samples, unless others are much likelier."""
+    """Output error on the training rows of a smoothed motion, starting from `parameters`; inputs between samples are of
+    the first of `kinds`, unless another is much likelier."""
     best: OutputError | None = None
     failed: Unrefined | None = None
     for kind in kinds:
@@ -185,7 +183,7 @@ def _of_course(
             run = _followed(task, known, replace(run.state, levels=replace(run.state.levels, held=held)))
         misfit = {names[i]: float(np.sqrt(run.state.levels.channels[i]) / given[i]) for i in distrusted}
         at_bound, free = known.at_bound(run.state.theta), run
-        if np.isfinite(at_bound).any():  # the runs would come closer beyond
+        if np.isfinite(at_bound).any():  # fit without limits, to test them
             free = _followed(task, replace(known, limits=np.full_like(known.limits, np.inf) * [-1.0, 1.0]), run.state)
     except np.linalg.LinAlgError:
         return NO_RUN
@@ -224,7 +222,7 @@ def _of_course(
 
 @dataclass(frozen=True, eq=False)
 class _Run:
-    """Where a fit stands, and what the likelihood there says of the free parameters."""
+    """The state of a fit, its likelihood, and the information matrix of the free parameters."""
 
     state: State
     found: Statistics
@@ -233,7 +231,7 @@ class _Run:
 
 
 def _followed(task: Task, known: Known, state: State) -> _Run:
-    """The path with less and less of a discrepancy, until nothing but noise separates it from the samples."""
+    """Fits with ever smaller discrepancy, until the path is a free run that only noise separates from the samples."""
     for size in SIZES:
         levels = replace(state.levels, discrepancy=size**2 * state.levels.target, hessian=None)
         run = _fitted(task, known, replace(state, levels=levels))
@@ -242,7 +240,7 @@ def _followed(task: Task, known: Known, state: State) -> _Run:
 
 
 def _fitted(task: Task, known: Known, state: State) -> _Run:
-    """Gauss-Newton steps of the free parameters and the path, noise learned about each."""
+    """Gauss-Newton steps of the free parameters and the path; noise levels are estimated again at each."""
     last, halved = None, 0
     held = np.arange(len(state.levels.free)) >= len(state.levels.channels)
     for step in range(MOST_STEPS):
@@ -269,7 +267,7 @@ def _fitted(task: Task, known: Known, state: State) -> _Run:
 
 
 def _bounded(information: Floats, slope: Floats, phi: Floats, limits: Floats) -> Floats:
-    """The step to the maximum of a quadratic within the limits of the parameters, (f, 2)."""
+    """The step (f,) to the maximum of a quadratic within the limits (f, 2) of the parameters."""
     step, (low, high) = solved(information, slope), limits.T - phi
     if ((step >= low) & (step <= high)).all():
         return step
@@ -281,7 +279,7 @@ def _bounded(information: Floats, slope: Floats, phi: Floats, limits: Floats) ->
     within = (low / unit, high / unit)
     found = lsq_linear(root[:, None] * vectors.T, (vectors.T @ (unit * slope)) / root, within, method="bvls")
     step = unit * found.x
-    # at the end of its sign a parameter is 0 to the last bit
+    # a parameter at its limit is exactly there, as 0 at the end of its sign
     step = np.where((found.active_mask < 0) | (step <= low), low, step)
     return np.where((found.active_mask > 0) | (step >= high), high, step)
 
@@ -297,12 +295,12 @@ def _sensitivity(found: Statistics, basis: Floats) -> tuple[Floats, Floats]:
 
 
 def _excess(J: Floats, residuals: Floats) -> float:
-    """Variance of the parameters over that by (J'J)^-1, as parts of the record show it; 0 where it is no larger.
+    """Factor of the parameters' variance over (J'J)^-1, by blocks of the record; 0 if not significantly larger.
 
-    With orthonormal Q for J, Q'r of a block of rows has the covariance A = Q'Q of the block if the noise is
-    independent, less what the minimum takes: all blocks together add up to zero. The sum of their squares is then
-    nearly a multiple of chi-squared, of the same mean and variance (Satterthwaite 1946). Noise with a memory makes it
-    larger.
+    With an orthonormal basis Q of the columns of J, the score Q'r of a block of rows has the covariance A = Q'Q of the
+    block if the noise is independent, less a correction: at the minimum the scores of all blocks sum to zero. The sum
+    of their squares is then nearly a multiple of chi-squared, of the same mean and variance (Satterthwaite 1946).
+    Correlated noise makes it larger.
     """
     from scipy.linalg import block_diag
     from scipy.special import chdtri
@@ -310,7 +308,7 @@ def _excess(J: Floats, residuals: Floats) -> float:
     p = J.shape[2]
     blocks = max(min(BLOCKS, len(J) // BLOCK_ROWS), 2)
     Q = np.linalg.qr(J.reshape(-1, p))[0].reshape(J.shape)
-    # of like information, not length: a decay has next to none in its last rows
+    # blocks of equal information, not of equal length: the last rows of a decay have next to none
     edges = np.searchsorted(np.cumsum(np.sum(Q**2, axis=(1, 2))), p * np.arange(1, blocks) / blocks)
     parts, left = (np.split(whole, edges) for whole in (Q, residuals))
     A = [part.reshape(-1, p).T @ part.reshape(-1, p) for part in parts]

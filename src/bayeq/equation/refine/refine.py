@@ -1,4 +1,4 @@
-"""`refine`: posteriors of coefficients that make the free run, not the single step, come close to records."""
+"""`refine`: posteriors of coefficients fitted to records by their free runs (output error), not by single steps."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ from bayeq.regression.residuals import Fit, inspect_residuals
 from bayeq.states import Sensors, Smooth, estimate_motion
 from bayeq.states.motion import held_out_share
 
-# With fewer rows there is no free run to speak of.
+# Least rows of a record for a free run.
 LEAST_ROWS = 8
 
-# How inputs may go between their samples, beside what was found of them.
+# Interpolations of inputs between samples that are tried, besides those that were found before.
 KINDS: tuple[Interpolation, ...] = ("cubic", "linear", "band-limited")
 
-# Errors that differ by less than this share are the same: it is what a run's own errors may do.
+# Errors of runs that differ by less than this share count as equal: errors of the integration may do as much.
 SAME = 0.01
 
-# Over the rows held out, where errors are greater by this many standard errors: as improbable.
+# Held-out errors count as worse if they are larger by this many standard errors: as improbable as `worse_chance`.
 SURE = 2.0
 
-# Rows that stand for an intercept without error.
+# Number of rows that represents an intercept without error.
 MOST_ROWS = 1e140
 
 
@@ -52,15 +52,15 @@ class Refinement:
     n : int
         Rows used.
     segments, longest : int
-        Free runs, and the rows of the longest.
+        Number of free runs, and rows of the longest.
     noise_sd : mapping of str to float
-        For each measured channel the standard deviation of what the runs leave: its noise.
+        Standard deviation of the noise of each measured channel: as given, or that of the runs' residuals.
     interpolation : "cubic", "linear", "hold" or "band-limited"
-        Of the inputs between their samples.
+        Interpolation of the inputs between samples.
     converged : bool
-        Whether the fit ended by itself.
+        Whether the fit converged, not stopped at its limit of steps.
     at_bound : tuple of str
-        Coefficients, ``"a: v"``, for which the runs were closest at 0, the end of their known sign, or at a bound,
+        Coefficients that the fit put at 0, the end of their known sign, ``"a: v"``, or at a bound,
         ``"a: x**3 = 5"``.
     """
 
@@ -74,7 +74,7 @@ class Refinement:
     at_bound: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        """In a line."""
+        """The refinement in a line of text."""
         runs = "one run" if self.segments == 1 else f"{self.segments} runs"
         noise = ", ".join(f"{name} {sd:.3g}" for name, sd in self.noise_sd.items())
         ends = [one for one in self.at_bound if " = " not in one], [one for one in self.at_bound if " = " in one]
@@ -83,10 +83,10 @@ class Refinement:
         return f"coefficients refined by output error: {runs} of up to {self.longest} rows, noise sd {noise}{bound}"
 
 
-# A posterior, and what else changes of its `Equation`.
+# A posterior, and the other attributes of its `Equation` that change.
 Changed = tuple[Posterior, dict[str, Any]]
 
-# What to beware of.
+# Message and category of a warning.
 Doubt = tuple[str, type[BayeqWarning]]
 
 
@@ -104,10 +104,10 @@ def refine(
     """Output-error estimate of the coefficients and intercepts; see `bayeq.Equations.refine`.
 
     `before` are the equations by regression, with all intercepts; `dynamics` the same with the intercepts that are
-    estimated, the others are set to zero. Inputs go between their samples as is given of all of them, or by what is
-    likeliest, found before or one of `KINDS`. Free runs over windows of the rows used do not become worse.
+    estimated, the others are set to zero. Inputs are interpolated as given for all of them, or by the likeliest of
+    `KINDS` and those found before. Unrefined if free runs over windows of the rows used would become worse.
 
-    InputError: channels that are missing, no time, too few rows, nothing that constraints leave free.
+    InputError: channels that are missing, no time, too few rows, or constraints that fix every coefficient.
     """
     known = Known.of(dynamics, constraints)
     kinds: list[Interpolation] = ["cubic"]
@@ -135,7 +135,7 @@ def refine(
     duration = REFINE.windows * typical_period(dynamics, train)
     runs = [window_runs(before, train, duration), window_runs(dynamics, train, duration, found.parameters)]
     former, now = (apart(pairs) for pairs in runs)
-    # forces that nobody measured drive the motion: coefficients of runs are worse then, unless the runs say otherwise
+    # excess: unmeasured forces drive the motion, which spoils output error unless runs become clearly better
     if runs_are_worse(*runs) or (found.excess > 1.0 and not runs_are_worse(*reversed(runs))):
         return Unrefined(
             f"free runs over windows of the rows used would err by {100.0 * now:.3g} % instead of {100.0 * former:.3g}"
@@ -160,7 +160,7 @@ def refine(
 
 
 def _doubts(found: OutputError, bound: Sequence[str], scores: tuple[Scores, Scores] | None) -> Iterator[Doubt]:
-    """What the fit says against itself, and scores on the rows held out against those before."""
+    """Warnings: correlated residuals, worse held-out runs, no convergence, contradicted bounds, noise above given."""
     if found.excess > 1.0:
         times = f"variances of coefficients are {in_digits(found.excess)} times those of white noise"
         yield f"what free runs leave is correlated in time: {times}; add terms", DataWarning
@@ -207,7 +207,7 @@ def runs_are_worse(before: Iterable[tuple[Floats, Floats]], after: Iterable[tupl
 def _refined(
     dynamics: Dynamics, k: int, block: slice, found: OutputError, train: Sequence[Rows], held_out: Sequence[Rows]
 ) -> Changed:
-    """The k-th equation: its posterior, and by attribute its fits and residuals, of the rows used and held out."""
+    """The k-th equation's posterior, and its attributes that change: fits on rows used and held out, residuals."""
     law, terms, parameters, free = dynamics.laws[k], dynamics.terms[k], found.parameters[block], found.free[block]
     target = law.chain.target
 
@@ -231,7 +231,7 @@ def _refined(
 
 
 def _at_bound(dynamics: Dynamics, found: OutputError) -> tuple[str, ...]:
-    """Coefficients that were at the end of their known sign, or at a bound, with their target in front."""
+    """Coefficients that the fit put at the end of their known sign, or at a bound, with their target in front."""
     return tuple(
         f"{target}: {term.text}" + (f" = {there:.6g}" if there else "")
         for target, terms, block in zip(dynamics.roles.targets, dynamics.terms, dynamics.blocks(), strict=True)
@@ -248,9 +248,9 @@ def _posterior(before: Posterior, parameters: Floats, covariance: Floats, free: 
     coef[support], spread = parameters[-r:], covariance[-r:, -r:]
     intercept, left = 0.0, 0.0
     if len(parameters) > r:
-        # intercept = target_mean - center'coef: with this center its covariance with the coefficients is what was
-        # found, and what is left of its variance stands as noise_variance/n
-        # those that follow from others leave no covariance of their own
+        # intercept = target_mean - center'coef: this center gives the covariance with the coefficients that was found,
+        # and noise_variance/n represents the rest of the intercept's variance. Only free coefficients are solved for:
+        # those that follow from others make the covariance singular
         among = np.flatnonzero(free[1:])
         center[np.flatnonzero(support)[among]] = -np.linalg.solve(
             spread[np.ix_(among, among)], covariance[1 + among, 0]
@@ -263,7 +263,7 @@ def _posterior(before: Posterior, parameters: Floats, covariance: Floats, free: 
         covariance=spread,
         constant=replace(before.constant, center=center, mean=intercept + float(center @ coef)),
         noise_variance=noise,
-        # as many rows as make the variance of the intercept noise_variance/n; an intercept of zero is known exactly
+        # noise_variance/n is the rest of the intercept's variance; an intercept of zero is known exactly
         n=min(noise / max(left, 1e-300), MOST_ROWS),
         averaged=None,
     )

@@ -1,1 +1,1 @@
-"""The report: one HTML page with the answer, its pictures and how to get it again, which loads nothing."""
+"""The report: one self-contained HTML page with the answer, its pictures and the command that repeats it."""

@@ -1,4 +1,4 @@
-"""The report as one HTML page: what `page.html` is filled with. Every text is escaped there but for maths."""
+"""The report as one HTML page: the values for the template `page.html`, which escapes every text except maths."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ from bayeq.regression.constraints import CONSERVED
 # Resolution of still pictures [dots per inch].
 DPI = 200
 
-# What matplotlib calls the axes of one.
+# Label that matplotlib gives the axes of a colour bar.
 COLOUR_BAR = "<colorbar>"
 
 
 class Remembering:
-    """An answer that prepares a record once, and runs once over the same rows, however many pictures ask for it."""
+    """An answer with cached `motion` and `simulate`: pictures of the same record share them."""
 
     def __init__(self, eq: Any) -> None:
         self._answer = eq
@@ -56,7 +56,7 @@ class Remembering:
 
 
 def pictures(eq: Answer, record: Record | None) -> tuple[list[dict[str, Any]], list[str]]:
-    """All pictures that the answer and the record allow, as the page shows them, and why others could not be drawn."""
+    """All pictures that the answer and the record allow, as data for the page, and why others could not be drawn."""
     made: list[dict[str, Any]] = []
     reasons: list[str] = []
     source = Remembering(eq)
@@ -73,7 +73,7 @@ def pictures(eq: Answer, record: Record | None) -> tuple[list[dict[str, Any]], l
 
 
 def _wanted(eq: Answer, record: Record | None) -> Iterator[tuple[str, dict[str, Any], str]]:
-    """Names of pictures, their options and captions."""
+    """The functions of `bayeq.figures` to call, by name, with their options and captions."""
     if eq.verdict.kind == "none":
         return
     for one in (one for one in eq.equations if not one.chain.stated):
@@ -111,7 +111,7 @@ def _wanted(eq: Answer, record: Record | None) -> Iterator[tuple[str, dict[str, 
 
 
 def _still(figure: Any) -> str:
-    """A PNG as text (base64)."""
+    """The figure as a PNG in base64."""
     buffer = io.BytesIO()
     figure.set_layout_engine("none")  # its panels have been placed
     with style():
@@ -120,21 +120,21 @@ def _still(figure: Any) -> str:
 
 
 def _live(axes: Sequence[Any], k: int) -> str:
-    """The picture in Bokeh's JSON, without a "<"; nothing for one of three dimensions."""
+    """The picture in Bokeh's JSON with every "<" escaped; empty for a picture in three dimensions."""
     if any(ax.name == "3d" for ax in axes):
         return ""
     from bokeh.embed import json_item
 
-    # no end of a script can stand in JSON that is in one
+    # the JSON is inside a script element, which "</script" would end
     return json.dumps(json_item(as_bokeh(axes), f"live{k}")).replace("<", "\\u003c")
 
 
 DASHES = {"-": "solid", "--": "dashed", "-.": "dashdot", ":": "dotted"}
 MARKERS = {"o": "circle", ".": "circle", "s": "square", "D": "diamond", "+": "cross", "^": "triangle"}
 
-# Pixels of a millimetre of a figure, and what the axes' labels and the legend take [pixels].
+# Pixels per millimetre of a figure; pixels for the labels of the axes and the legend.
 SCALE, AROUND = 4.0, 80
-# Characters of a legend that a telephone has room for in a row; pixels of a square of a matrix.
+# Characters of a legend that fit a row on a phone; pixels per cell of a matrix.
 LEGEND, SQUARE = 38, 30
 POINT = 96.0 / 72.0
 
@@ -151,7 +151,7 @@ def without_maths(label: str) -> str:
 
 
 def as_bokeh(axes: Sequence[Any]) -> Any:
-    """A Bokeh model of axes of one matplotlib figure, one below the other, with the horizontal axis in common."""
+    """A Bokeh model of the axes of a matplotlib figure, one below the other, with a common horizontal axis."""
     from bokeh.layouts import column
 
     plots: list[Any] = []
@@ -199,16 +199,16 @@ def _plot(ax: Any, x_range: Any) -> Any:
 
 
 def _ticks(axis: Any, model: Any) -> None:
-    """Names at their places, where the axis has such."""
+    """Copy fixed ticks and their names from a matplotlib axis to the Bokeh axis `model`."""
     from matplotlib.ticker import FixedLocator, FuncFormatter
 
     if not isinstance(axis.get_major_locator(), FixedLocator):
         return
     places = [float(place) for place in axis.get_majorticklocs()]
     model.ticker = places
-    if isinstance(axis.get_major_formatter(), FuncFormatter):  # which set_ticks makes of names
+    if isinstance(axis.get_major_formatter(), FuncFormatter):  # set_ticks makes one from names
         labels = [without_maths(label.get_text()) for label in axis.get_ticklabels()]
-        # keys without a point, as numbers are written in the browser
+        # whole numbers as int: the browser looks up 3, not 3.0
         keys = [int(at) if at == int(at) else at for at in places]
         model.major_label_overrides = dict(zip(keys, labels, strict=True))
         if axis.axis_name == "x":
@@ -221,7 +221,7 @@ def _hex(colour: Any) -> str:
     return to_hex(colour)
 
 
-# Labels, what was drawn, and the values that are shown where a pointer is.
+# For each element its legend label, Bokeh glyph, and the names and formats of the values in its hover box.
 Shown = Iterator[tuple[str, Any, list[tuple[str, str]]]]
 
 
@@ -251,7 +251,7 @@ def _lines(plot: Any, ax: Any) -> Shown:
 
 
 def _bands(plot: Any, ax: Any) -> Shown:
-    """Filled bands, and the bars of intervals."""
+    """Draw filled bands, and the bars of intervals."""
     from matplotlib.collections import LineCollection, PolyCollection
 
     for made in ax.collections:
@@ -282,7 +282,7 @@ def _bars(plot: Any, ax: Any) -> Shown:
 
 
 def _images(plot: Any, ax: Any) -> Shown:
-    """Squares of a matrix, with the numbers that are written on them, and a bar of their colours."""
+    """Draw the cells of a matrix with the numbers written on them, and a colour bar."""
     from bokeh.models import ColorBar, LinearColorMapper
 
     names = plot.yaxis[0].major_label_overrides
@@ -303,7 +303,7 @@ def _images(plot: Any, ax: Any) -> Shown:
         look: dict[str, Any] = {"text_align": "center", "text_baseline": "middle", "text_font_size": "11px"}
         numbers = dict(zip(("x", "y", "text", "colour"), map(list, zip(*written, strict=True)), strict=True))
         plot.text("x", "y", "text", source=numbers, text_color="colour", **look)
-        plot.height, plot.frame_height = None, SQUARE * len(values)  # whatever long names take below
+        plot.height, plot.frame_height = None, SQUARE * len(values)  # long names below do not shrink it
         colours = [_hex(image.cmap(level)) for level in range(image.cmap.N)]
         mapper = LinearColorMapper(palette=colours, low=image.norm.vmin, high=image.norm.vmax)
         plot.add_layout(ColorBar(color_mapper=mapper, width=10), "right")
@@ -325,9 +325,9 @@ def require_report() -> None:
 def write_report(
     path: Path, eq: Answer, records: Sequence[Record], files: Sequence[Path], command: str | None = None
 ) -> None:
-    """Write the page, see `bayeq.Equations.report`, whole or not at all; without files hashes are of the records.
+    """Write the whole page or nothing, see `bayeq.Equations.report`; without files the samples of records are hashed.
 
-    InputError if a file cannot be read, or the page not be written; MissingExtraError without matplotlib or Bokeh.
+    InputError if a file cannot be read or the page cannot be written; MissingExtraError without matplotlib or Bokeh.
     """
     require_report()
     try:
@@ -344,7 +344,7 @@ def write_report(
 
 
 def _page(eq: Answer, records: Sequence[Record], digests: Mapping[str, str], command: str | None) -> str:
-    """The text of the page; its policy lets its own scripts run, by their hashes, and nothing be loaded."""
+    """The HTML of the page; its content security policy allows its own scripts, by hash, and loads nothing."""
     from jinja2 import Environment, FileSystemLoader
 
     with warnings.catch_warnings():
@@ -421,7 +421,7 @@ def _equation(one: Equation, eq: Answer) -> dict[str, Any]:
 
 
 def _maths(one: Equation, names: Mapping[str, str]) -> str:
-    """An equation as MathML, a piece for each term so that it breaks between them."""
+    """An equation as MathML, one element for each term, so that lines break between terms."""
     pieces = [f"<mrow>{names[one.target]}<mo>=</mo></mrow>"]
     summands = [] if one.chain.stated else one.summands
     if one.chain.law is not None and one.chain.stated:
@@ -440,16 +440,16 @@ def _maths(one: Equation, names: Mapping[str, str]) -> str:
 
 
 def _words(eq: Answer) -> list[str]:
-    """What is shown, explained with its own numbers; marks and bounds are explained where they stand."""
+    """Paragraphs of `explanation`, without those on warnings and marks, which the page explains in place."""
     _, _, *paragraphs = explanation(eq).split("\n\n")
     lines = (" ".join(paragraph.split()) for paragraph in paragraphs)
     return [line for line in lines if not line.startswith(("warnings:", f"{MARK}:", "not determined by"))]
 
 
 def _data(eq: Answer) -> dict[str, str]:
-    """Data and settings; what is empty is not shown."""
+    """Data and settings as text, by label; the page leaves out empty ones."""
     source, known = eq.data, eq.data.sensors
-    # of how many rows held out the checks are, where not of all: of those with all channels, and no ends
+    # the checks may cover fewer rows than were held out: only rows with all channels, without ends
     counts = {one.held_out.n for one in eq.equations if one.held_out is not None}
     checked = f", checked on {max(counts)} of these" if counts and max(counts) != source.n_held_out else ""
     return {
@@ -487,7 +487,7 @@ def _sampling(eq: Answer) -> str:
 
 
 def _library() -> str:
-    """Bokeh's script, without what would end the element that it stands in."""
+    """Bokeh's script with ``</script`` escaped, which would end its element."""
     from bokeh.resources import Resources
 
     scripts = Resources(mode="inline", components=["bokeh"]).js_raw
@@ -506,7 +506,7 @@ def samples_hash(record: Record) -> str:
 
 
 def _with_ranges(law: str, eq: Answer) -> str:
-    """A stated law with the ranges in which its constants were sought, unless the dictionary has these."""
+    """A stated law with the ranges in which its constants were sought, unless the dictionary gives them."""
     ranges = {f"{{{one.name}}}": f"{{{one.name}: {one.low:.6g}..{one.high:.6g}}}" for one in eq.constants}
     for name, ranged in ranges.items():
         law = law if name[:-1] in eq.dictionary else law.replace(name, ranged)
@@ -514,7 +514,7 @@ def _with_ranges(law: str, eq: Answer) -> str:
 
 
 def repeat_command(eq: Answer) -> str:
-    """A command that finds the equations again, from what they know of how they were found."""
+    """A `bayeq discover` command that finds the equations again, made from their settings."""
     words = ["bayeq", "discover", *(name or "FILE" for name in eq.data.files)]
     for chain in eq.chains:
         text = str(chain.measured[-2]) if chain.discrete else str(chain)
@@ -524,10 +524,10 @@ def repeat_command(eq: Answer) -> str:
             words += ["--target", chain.target] if chain.static else ["--chain", text]
     words += ["--discrete"] * eq.roles.discrete
     refused = {one.state for one in eq.hidden} - {*eq.states}
-    gone = {"d" * k + state for state in refused for k in range(3)}  # with its rates
+    gone = {"d" * k + state for state in refused for k in range(3)}  # the hidden states and their rates
     sensors = eq.data.sensors
     noise = {name: f"{f'{100 * share:.6g}' if share else ''}% of reading" for name, share in sensors.of_reading.items()}
-    asked = [name for name in (*eq.inputs, *sensors.noise) if not EARLIER.fullmatch(name)]  # others terms ask for
+    asked = [name for name in (*eq.inputs, *sensors.noise) if not EARLIER.fullmatch(name)]  # not earlier samples
     noise |= {name: f"{sd:.6g}" for name, sd in sensors.noise.items() if name in asked and name not in noise}
     options: dict[str, Sequence[str]] = {
         "--input": [name for name in eq.inputs if name in asked and name not in eq.numbers],

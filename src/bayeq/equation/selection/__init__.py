@@ -1,1 +1,1 @@
-"""Which terms an equation shows; posterior inclusion probabilities are left as they are."""
+"""Selects the terms that an equation shows; posterior inclusion probabilities stay as they are."""

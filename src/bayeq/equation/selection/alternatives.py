@@ -1,12 +1,12 @@
-"""Other equations that the posterior does not rule out, and terms that the record does not tell of.
+"""Alternative models that the posterior does not rule out, and terms that the record does not determine.
 
-Equations are compared where the record has been, and wherever its states and inputs could be together, each within its
-own values: on a steady sine, of which displacement and velocity are always a quarter of a period apart, equations may
-agree along the motion and nowhere else.
+Models are compared at rows of the record, and at points that combine states and inputs from different rows: in a steady
+sine, where displacement and velocity are always a quarter of a period apart, models may agree along the motion and
+nowhere else.
 
 A term that explains no more than the noise is not found, however large its coefficient could be: x**3 in a record of
-small amplitude. Its bound tells how large. It could matter if the equation with the term, at its bound, predicts
-otherwise than without: in the record, or where states and inputs are ten times as large.
+small amplitude. Its bound limits the coefficient. The term could matter if adding it at its bound changes predictions:
+in the record, or where states and inputs are ten times as large.
 """
 
 from __future__ import annotations
@@ -29,31 +29,31 @@ from bayeq.numerics.settings import SELECTION
 from bayeq.regression.fit import RegressionFit
 from bayeq.states import Motion
 
-# Models of less probability than this together are left out, points at which the others are compared, and their seed.
+# Models of less probability are left out; number of points at which the others are compared, and their random seed.
 LEAST, POINTS, SEED = 1e-3, 1000, 0
 
-# Amplitudes, over that of the record, at which a term could matter: x**3 of 1 % of the noise, whose bound is ten times
-# the true coefficient, does not at twice that amplitude. And rows at which that is judged, at most.
+# Amplitudes, over that of the record, at which a term is tried (twice is too small: x**3 of 1 % of the noise, whose
+# bound is ten times the true coefficient, would not matter there); most rows at which it is tried.
 AMPLITUDES, ROWS = (1.0, 10.0), 4000
 
-# With more candidates the other rows of D'D would cost more than the search has.
+# With more candidates there are no bounds: the missing rows of D'D would cost more than the search did.
 MOST_TERMS = 2000
 
 
 @dataclass(frozen=True)
 class Alternatives:
-    """Other equations that predict otherwise."""
+    """Models whose predictions differ from those of the equation shown."""
 
-    probability: float  # of all of them together
-    enter: tuple[str, ...] = ()  # terms that the likeliest of them has more than the equation shown
-    leave: tuple[str, ...] = ()  # and less
+    probability: float  # their total probability
+    enter: tuple[str, ...] = ()  # terms that the likeliest of them adds to the equation shown
+    leave: tuple[str, ...] = ()  # terms of the equation shown that it lacks
 
 
 def alternatives_to(fit: RegressionFit, shown: Posterior, tolerance: float, exact: bool = True) -> Alternatives:
     """Models of the posterior whose predictions differ from those of the equation shown by more than a tolerance.
 
-    Of an exact law those too that damp otherwise: damping explains next to nothing, and yet decides how motion decays.
-    What is shown is in original units and, where it is a projection, of the full model. The tolerance is a root mean
+    If the law is `exact`, also models with other damping, which explains next to nothing, and yet decides how motion
+    decays. `shown` is in original units and, where it is a projection, of the full model. `tolerance` is a root mean
     square difference, as a share of the target's standard deviation.
     """
     average = fit.posterior.average
@@ -82,7 +82,7 @@ def alternatives_to(fit: RegressionFit, shown: Posterior, tolerance: float, exac
 
 
 def _odd(fit: RegressionFit, points: dict[str, Floats]) -> Floats:
-    """Of each term, what changes its sign with the velocities of oscillators, (rows, P); nothing in other equations."""
+    """The part of each term that is odd in the velocities of oscillators, (rows, P); zero for other equations."""
     terms, roles = fit.regression.design.terms, fit.regression.motion.roles
     if fit.regression.chain.order < 2 or roles.discrete:
         return np.zeros((1, len(terms)))
@@ -97,14 +97,14 @@ def _root_mean_square(values: Floats) -> float:
 
 
 def _samples(motion: Motion, terms: Sequence[Expression]) -> dict[str, Floats]:
-    """States and inputs of all training rows; targets too that terms hold."""
+    """States and inputs of all training rows, and targets that occur in terms."""
     held = [name for name in motion.roles.targets if any(name in term.names for term in terms)]
     names = (*motion.roles.states, *motion.roles.drivers, *held)
     return {name: np.concatenate([rows.columns[name] for rows in motion.train]) for name in names}
 
 
 def _points(motion: Motion, terms: Sequence[Expression]) -> list[dict[str, Floats]]:
-    """States and inputs at rows of the record, and each at rows of its own."""
+    """States and inputs at random rows of the record, and at points with each channel from a random row of its own."""
     whole, rng = _samples(motion, terms), np.random.default_rng(SEED)
     rows = len(next(iter(whole.values())))
     together = rng.integers(rows, size=POINTS)
@@ -113,10 +113,10 @@ def _points(motion: Motion, terms: Sequence[Expression]) -> list[dict[str, Float
 
 
 def bounds(fit: RegressionFit) -> Floats | None:
-    """Below what the size of each coefficient is, with a probability of 95 % or more, were its term added, (P,).
+    """Upper bounds (P,) on the magnitude of each coefficient if its term were added, with 95 % probability or more.
 
     NaN for terms that are included or depend on these, are tied to others by equalities, or are candidates of other
-    equations only. None of very many.
+    equations only. None for more than `MOST_TERMS` candidates.
     """
     problem, support, kept = fit.problem, fit.posterior.support, fit.constraints.equalities.kept
     if len(support) > MOST_TERMS:
@@ -138,11 +138,11 @@ def bounds(fit: RegressionFit) -> Floats | None:
     return whole
 
 
-@np.errstate(all="ignore")  # exp(x) at twice a large x is infinite, and changes predictions
+@np.errstate(all="ignore")  # exp(x) at ten times a large x is infinite, and changes predictions
 def undetermined(fit: RegressionFit, found: Posterior, bound: Floats | None) -> tuple[str, ...]:
     """Terms that, at their bound, could change predictions by more than a tolerance; the simplest first.
 
-    With such a term the included ones have other coefficients, those that make up for it in the record.
+    With such a term the included ones have other coefficients, which compensate for it in the record.
     """
     if bound is None or len(fit.constraints.equalities.eliminated):
         return ()

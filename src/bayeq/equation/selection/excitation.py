@@ -1,8 +1,8 @@
-"""Whether motion that repeats itself tells the candidates apart (persistency of excitation, Ljung 1999).
+"""Tests whether periodic motion distinguishes the candidate terms (persistency of excitation, Ljung 1999).
 
-On periodic motion, as of a structure under a steady sine, the states run along one closed curve again and again. What
-is known of an equation is then known on that curve only, where many terms are combinations of others: a = -omega^2 x
-holds for every harmonic motion.
+In periodic motion, as of a structure under a steady sine, the states run along one closed curve again and again. The
+record determines an equation on that curve only, where many terms are combinations of others: a = -omega^2 x holds for
+every harmonic motion.
 """
 
 from __future__ import annotations
@@ -21,32 +21,32 @@ from bayeq.numerics.distributions import incomplete_beta
 from bayeq.numerics.settings import SELECTION
 from bayeq.states import Motion, MotionRows
 
-# Harmonics count that chance makes with less than this probability.
+# A harmonic counts if noise alone would make it with less than this probability.
 CHANCE = 1e-3
 
-# An input that a period leaves more of than this share of its variance does not repeat itself.
+# An input is not periodic if its harmonics leave more than this share of its variance.
 MOST_NOISE = 0.5
 
-# The period is looked for among this many within a line of the spectrum, then among as many beside the best.
+# Number of frequencies tried within a line of the spectrum either way, then again, twice, in a narrower range.
 FREQUENCIES = 41
 
-# Points of the curve; variance of a coefficient's prior in units of the target's, as in the likelihood of the record.
+# Points of the closed curve; prior variance of a coefficient over that of the target, as in the record's likelihood.
 POINTS, PRIOR = 720, 5.0
 
 
 class Repeating(NamedTuple):
-    """Motion that repeats itself and does not tell the candidates apart."""
+    """Periodic motion that does not distinguish the candidates."""
 
-    frequency: float  # of its period [Hz]
-    courses: int  # independent courses that the candidates take on it
+    frequency: float  # fundamental frequency [Hz]
+    courses: int  # rank of the candidates along the closed curve, as far as the noise shows
     terms: int  # number of candidates
     single: bool = False  # whether the states have no other frequency
 
 
 def repeating(motion: Motion, terms: Sequence[Expression]) -> Repeating | None:
-    """Whether all records of some motion run along closed curves that do not tell the candidates apart; None if not.
+    """The periodicity of a motion whose records all run along closed curves that do not distinguish the candidates.
 
-    None too of maps, which are as white as noise where they are chaotic.
+    None for other motion, for terms that use the time, and for maps, which are as white as noise if they are chaotic.
     """
     drivers = motion.roles.inputs
     if not motion.timed or motion.roles.discrete or any(TIME in term.names for term in terms):
@@ -74,8 +74,8 @@ def repeating(motion: Motion, terms: Sequence[Expression]) -> Repeating | None:
 def _closed_curve(
     rows: MotionRows, states: Sequence[str], inputs: Sequence[str], targets: Sequence[str]
 ) -> tuple[dict[str, Floats], float, float, bool] | None:
-    """States and inputs along the curve, its frequency, and the least noise of a target as a share of its variance;
-    whether the states have that frequency alone."""
+    """States, inputs and targets along the curve, its frequency [Hz], the least noise variance of a target over its
+    variance, and whether the states have no higher harmonics; None if the motion is not periodic."""
     assert rows.time is not None
     if rows.n < 8 * SELECTION.least_periods:
         return None
@@ -115,7 +115,7 @@ def _closed_curve(
 
 
 def _frequency(time: Floats, columns: Floats) -> float | None:
-    """The frequency [Hz] whose harmonics explain most of some columns; None of fewer than a few periods."""
+    """The frequency [Hz] whose harmonics explain most of the columns; None for too few periods, or samples in one."""
     n, length = len(time), float(time[-1]) * len(time) / (len(time) - 1)
     power = (np.abs(np.fft.rfft(columns, axis=0)) ** 2).sum(axis=1)
     power[0] = 0.0
@@ -137,7 +137,7 @@ def _frequency(time: Floats, columns: Floats) -> float | None:
 
 
 def _harmonics(time: Floats, frequency: float, count: int) -> Floats:
-    """A constant, then cosine and sine of every harmonic."""
+    """Design matrix: a constant, then cosine and sine of every harmonic."""
     angle = 2.0 * np.pi * frequency * time[:, None] * np.arange(1, count + 1)
     return np.column_stack(
         [np.ones(len(time)), np.stack([np.cos(angle), np.sin(angle)], axis=2).reshape(len(time), -1)]
@@ -145,7 +145,7 @@ def _harmonics(time: Floats, frequency: float, count: int) -> Floats:
 
 
 def _is_noise(left: Floats, step: float, below: float) -> bool:
-    """Whether what is left of a channel has no more power below a frequency than white noise has."""
+    """Whether the residual of a channel has no more power below a frequency [Hz] than white noise has."""
     power = np.abs(np.fft.rfft(left)[1 : (len(left) + 1) // 2]) ** 2
     frequencies = np.arange(1, len(power) + 1) / (len(left) * step)
     inside = int((frequencies < below).sum())

@@ -1,21 +1,21 @@
 """Which terms an equation shows: one policy, applied in one place, from the models that the posterior is about.
 
 The included terms are those with a posterior inclusion probability above 0.5, the median probability model (Barbieri
-and Berger 2004). An equation shows these, with four exceptions, each applied to what the one before it leaves:
+and Berger 2004). An equation shows these, with four exceptions, each applied to the result of the one before it:
 
-1. *dependent*: of a, b and a - b any two say the same, so that each may have a probability of two thirds, and hardly
-   a model has all three. Of the models of included terms the likeliest is shown.
-2. *undecided*: so it is of terms that are nearly alike, such as x and abs(x) on one side of zero. Collinear terms share
-   their probability, so that none of several forms of damping reaches 0.5, however sure it is that there is damping.
-   Where the included terms do not predict what the model average does, the likeliest model is shown.
+1. *dependent*: any two of a, b and a - b are equivalent, so that each may have a probability of two thirds, though
+   hardly a model has all three. The likeliest of the models with included terms alone is shown.
+2. *undecided*: the same happens to nearly collinear terms, such as x and abs(x) on one side of zero. They share their
+   probability, so that none of several forms of damping may reach 0.5, though there certainly is damping. If the
+   included terms predict otherwise than the model average, the likeliest model is shown.
 3. *max_terms*: a limit that the user sets. The likeliest model within it is shown.
-4. *tolerance*: of a law that is only nearly true terms are left out one by one, as long as the rest, by a fit of its
-   own, runs as well but for a declared tolerance. Where a law is only nearly true, terms that it does not have make up
-   for what it lacks, in the channels too: a filter in the measurement may make thousands of nats of damping that
-   depends on the amplitude, and nothing in a run. Predictions alone would not do: the damping of a light structure
-   explains next to nothing and yet decides how its motion decays.
+4. *tolerance*: if a law is only nearly true, terms are left out one by one, as long as free runs of the rest, refitted,
+   are worse by no more than a tolerance. In such a law false terms compensate for a missing part, also in the channels:
+   a filter in the measurement may give damping that depends on the amplitude thousands of nats of evidence, and no
+   effect on a run. Predictions are no criterion, and damping stays: that of a light structure explains next to nothing
+   and yet decides how its motion decays.
 
-A rule that does not bind changes nothing. None of them touches probabilities or the included terms.
+A rule that does not apply changes nothing. None of them changes probabilities or the included terms.
 """
 
 from __future__ import annotations
@@ -52,17 +52,17 @@ class LeftOut:
 
     name: str
     pip: float  # its posterior inclusion probability
-    share: float  # what R2 loses on the training rows without it, the other included terms refitted
+    share: float  # loss of R2 on the training rows without it, the other included terms refitted
     reason: str  # "dependent", "max_terms", "tolerance" or "undecided"
 
 
 @dataclass(frozen=True, slots=True)
 class Rules:
-    """Limits of the equation that is shown."""
+    """Limits on the equation that is shown."""
 
     max_terms: int | None = None  # largest number of terms
-    # What a law may lack, at least, as a share of the target's standard deviation, and how much worse free runs
-    # without a term may be, as a share of the states' spread. By default what it lacks is learned; 0: nothing.
+    # Least discrepancy that a law may have, as a share of the target's standard deviation, and by how much free runs
+    # without a term may be worse, as a share of the states' spread. None: the discrepancy is learned; 0: there is none.
     tolerance: float | None = None
 
     def check(self, method: str) -> None:
@@ -90,18 +90,18 @@ class Rules:
 class Selection:
     """The terms that an equation shows."""
 
-    fit: RegressionFit  # what they were chosen from
-    # given the terms shown, in units of `shown_fit.standard`; probabilities are those of `fit.posterior`
+    fit: RegressionFit  # the regression that they were chosen from
+    # posterior given the terms shown, in units of `shown_fit.standard`; probabilities are those of `fit.posterior`
     shown: Posterior
-    # terms that are included or shown and not both, with the rule that decided
+    # terms that are included or shown but not both, with the rule that decided
     why: Mapping[str, str] = field(default_factory=dict)
-    # what the coefficients shown come from, where the likelihood of the record is about them
+    # regression refitted with the record's likelihood about the terms shown, if these differ from the included ones
     own: RegressionFit | None = None
-    full: Selection | None = None  # that of the full model, where terms are left out within the tolerance
+    full: Selection | None = None  # selection of the full model, if terms are left out within the tolerance
 
     @property
     def shown_fit(self) -> RegressionFit:
-        """What the coefficients shown come from."""
+        """The regression that the coefficients shown come from."""
         return self.own or self.fit
 
     @property
@@ -116,7 +116,7 @@ class Selection:
 
     @cached_property
     def reported(self) -> Posterior:
-        """What is shown in original units."""
+        """The posterior given the terms shown, in original units, as it is reported."""
         return self.shown_fit.reported(self.shown)
 
     def given(self, shown: Posterior, rule: str) -> Selection:
@@ -130,8 +130,8 @@ class Selection:
 def select(fits: Sequence[RegressionFit], rules: Rules, motion: Motion, whole: bool = False) -> list[Selection]:
     """The terms that each equation of a system shows.
 
-    Without time no smaller model is shown, nor of a static law, whose terms no run depends on. With `whole`, for terms
-    are in several equations together, all included terms are shown. InputError if more are forced in than `max_terms`.
+    Rule 4 does not apply without time or to a static law, whose terms no run depends on. With `whole`, if terms are in
+    several equations together, all included terms are shown. InputError if more are forced in than `max_terms`.
     """
     chosen = [Selection(fit, fit.posterior) for fit in fits]
     if whole:
@@ -155,7 +155,7 @@ def select(fits: Sequence[RegressionFit], rules: Rules, motion: Motion, whole: b
 
 
 def run_errors(motion: Motion, fits: Sequence[RegressionFit], posteriors: Sequence[Posterior]) -> Errors:
-    """Errors of free runs over windows of the training rows, over the states' spread, by their length in periods."""
+    """Errors of free runs over windows of the training rows, over the states' spread, by window length in periods."""
     expanded = [fit.expanded(one) for fit, one in zip(fits, posteriors, strict=True)]
     dynamics = Dynamics.on(motion, fits[0].regression.design.terms, expanded)
     train, _ = divided(motion, rows_of(motion, "a free run"))
@@ -165,13 +165,13 @@ def run_errors(motion: Motion, fits: Sequence[RegressionFit], posteriors: Sequen
 
 
 def hardly_worse(fewer: Errors, whole: Errors, tolerance: float) -> bool:
-    """Whether errors exceed others by no more than a tolerance; not where these are out of step with the record."""
+    """Whether errors `fewer` exceed errors `whole` by at most a tolerance; False if short runs of `whole` are off."""
     compared = [periods for periods in whole if whole[periods] < SELECTION.follows]
     return SELECTION.short_run in compared and all(fewer[periods] <= whole[periods] + tolerance for periods in compared)
 
 
 def _likeliest_part(one: Selection) -> Selection:
-    """The likeliest model of included terms alone."""
+    """The selection of the likeliest model that has included terms alone, by rule 1 or 2."""
     fit, support, average = one.fit, one.shown.support, one.shown.average
     parts = None if average is None else average.models[~(average.models & ~support).any(axis=1)]
     if parts is None or not len(parts) or bool((parts[0] == support).all()):
@@ -183,7 +183,7 @@ def _likeliest_part(one: Selection) -> Selection:
 
 
 def prediction_difference(rows: Gram, one: Posterior, other: Posterior) -> float:
-    """Root mean square difference of predictions over the rows of a Gram of all terms, over the target's deviation."""
+    """Root mean square difference of predictions at the rows of a Gram of all terms, as a share of the target's sd."""
     change = one.coef - other.coef
     used = np.flatnonzero(change)
     c = change[used]
@@ -195,10 +195,11 @@ def prediction_difference(rows: Gram, one: Posterior, other: Posterior) -> float
 def likeliest_instead(
     fit: RegressionFit, k: int, found: Sequence[Posterior], runs: Runs | None, tolerance: float
 ) -> Posterior | None:
-    """The likeliest model of equation k, of which `fit` is, where the included terms are not what the average says.
+    """The likeliest model of equation k, whose regression is `fit`, if the included terms misrepresent the average.
 
-    So it is where predictions or free runs of the included terms are further from those of the average than the
-    tolerance, and those of the likeliest model less so (rule 2). `found` are the posteriors of every equation given its
+    They do if their predictions differ from those of the average by more than the tolerance, and those of the likeliest
+    model by less than theirs, or if their free runs are worse than those of the average by more than it, and those of
+    the likeliest model are not worse than theirs (rule 2). `found` are the posteriors of every equation given its
     included terms; `runs` gives errors of free runs, None without time.
     """
     included = found[k]
@@ -224,7 +225,7 @@ def likeliest_instead(
 
 
 def _simplified(chosen: list[Selection], nearly: Sequence[int], tolerance: float, motion: Motion) -> list[Selection]:
-    """The smallest models within the tolerance of some equations, by fits of their own; damping stays, see rule 4."""
+    """Rule 4 for the equations `nearly`: their smallest models within the tolerance, refitted; damping stays."""
     out = chosen
     whole = _errors(motion, chosen) if nearly else {}
     for k in nearly:
@@ -239,7 +240,7 @@ def _simplified(chosen: list[Selection], nearly: Sequence[int], tolerance: float
             fewer = list(out)
             fewer[k] = replace(one.given(fit.conditional(model), "tolerance"), full=one.full or one)
             if not _errors(motion, fewer)[SELECTION.short_run] < SELECTION.follows:
-                break  # no fit of its own makes up for that
+                break  # refitting cannot compensate for that
             fewer = _refitted(fewer)
             if not hardly_worse(_errors(motion, fewer), whole, tolerance):
                 break
@@ -252,14 +253,14 @@ def _errors(motion: Motion, chosen: Sequence[Selection]) -> Errors:
 
 
 def _damping(fit: RegressionFit) -> Bools:
-    """Terms of an oscillator's velocity alone."""
+    """Whether each term is one of an oscillator's velocity alone, (F,)."""
     design, chain = fit.regression.design, fit.regression.chain
     terms = [design.terms[int(j)] for j in fit.constraints.equalities.kept]
     return np.array([chain.order > 1 and term.names == {chain.states[-1]} for term in terms], dtype=np.bool_)
 
 
 def _refitted(chosen: list[Selection]) -> list[Selection]:
-    """Coefficients by fits of their own where terms are not those included: the same, however they were come by."""
+    """Selections refitted about the terms shown, if these differ from the included ones by whatever rule."""
     models = [one.shown.support for one in chosen]
     differ = any(bool((model != one.fit.posterior.support).any()) for one, model in zip(chosen, models, strict=True))
     fits = refitted([one.fit for one in chosen], models) if differ else None

@@ -1,8 +1,8 @@
 """Many models at once: best-first search and exhaustive enumeration on the collapsed tableau.
 
 The posterior over models is known up to a constant, eq. (34). Best-first search (after Occam's window, Madigan and
-Raftery 1994) keeps every model seen, takes the likeliest whose neighbours have not been looked at, and adds those:
-each flip and each swap is O(1) on the tableau. It stops when what is left to find is negligible.
+Raftery 1994) keeps every model seen, takes the likeliest whose neighbours have not been evaluated, and adds these:
+each flip and each swap is O(1) on the tableau. It stops when the mass left to find is negligible.
 """
 
 from __future__ import annotations
@@ -29,22 +29,22 @@ Words = NDArray[np.uint64]
 # Models less likely than the best by more nats are counted as mass left out and not kept.
 KEEP = 18.0
 
-# The estimate of the mass left out is multiplied by this, so as to err upwards; the yield of the latest expansions
-# in it fades by this factor per expansion.
+# The estimate of the mass left out is multiplied by CAUTION, so as to err upwards. It uses the mass found per mass
+# expanded, in which former expansions count less by the factor MEMORY for each later one.
 CAUTION = 3.0
 MEMORY = 0.95
 
-# Room for models: this many, or as many as fit into this many bytes.
+# Models that a search has room for: at first FIRST_ROOM, later MOST_MODELS or as many as fit into MOST_BYTES.
 FIRST_ROOM = 8192
 MOST_MODELS = 200_000
 MOST_BYTES = 100_000_000
 
-# Moves that a search looks at, at 20 to 100 ns each. A posterior that needs more is spread over too many models to
-# list; the inclusion probabilities given the other terms, averaged over those looked at, are exact to 0.0005 after half
-# as many (200 and 2,000 correlated terms, against chains of 2,000 to 40,000 samples).
+# Moves that a search evaluates, at 20 to 100 ns each. A posterior that needs more is spread over too many models to
+# list; the inclusion probabilities given the other terms, averaged over the expanded models, are exact to 0.0005 after
+# half as many (200 and 2,000 correlated terms, against chains of 2,000 to 40,000 samples).
 MOST_MOVES = 2_000_000
 
-# Models less likely than the best by more nats have no mass.
+# Models less likely than the best by more nats count as having no mass.
 FORGET = 40.0
 
 
@@ -57,17 +57,17 @@ class ModelSet:
     # share of the posterior mass outside the set: 0 if all models were enumerated, otherwise an estimate that errs
     # upwards
     left_out: float
-    expanded: int  # models all of whose neighbours were looked at
+    expanded: int  # number of models all of whose neighbours were evaluated
     contradicted: tuple[int, ...] = ()  # terms whose known signs or bounds the data contradict
-    # (P,), of a search: the probability of each term given the others, averaged over the models whose neighbours were
-    # looked at (Rao and Blackwell's estimate). Of terms that hardly depend on each other it needs few models where
-    # the listing needs all of their combinations.
+    # (P,), by a search: the probability of each term given the others, averaged over the expanded models (Rao and
+    # Blackwell's estimate). Where terms are nearly independent, it needs few models, and a listing all of their
+    # combinations.
     inclusion: Floats | None = None
 
     def pip(self, tolerance: float) -> tuple[Floats, Bools]:
-        """Inclusion probabilities, (P,), and of which it is known that they are right to a tolerance, (P,).
+        """Inclusion probabilities, (P,), and whether each is known to be right to `tolerance`, (P,).
 
-        Where the set leaves out more they are the average of those given the other terms, known if the set agrees.
+        If the set leaves out more than that, they are `inclusion`, and known where the listed models agree with it.
         """
         listed = np.minimum(shares(self.models, self.weights), 1.0)
         if self.left_out <= tolerance * (1.0 + 1e-9) or self.inclusion is None:
@@ -83,7 +83,7 @@ class ModelSet:
 
 @kernel
 def shares(models: Bools, weights: Floats) -> Floats:
-    """The weight of the models that each term is in, (P,): ``weights @ models``, which would convert all of these."""
+    """Sum of the weights of the models that hold each term, (P,): ``weights @ models`` without converting `models`."""
     out = np.zeros(models.shape[1])
     for k in range(len(models)):
         for j in range(models.shape[1]):
@@ -105,7 +105,7 @@ def model_scores(p: Problem, free: Ints, base: Bools) -> Floats:
 
 
 def enumerate_models(problem: Problem, window: float = FORGET) -> ModelSet:
-    """All models of up to some 20 free terms, but those less likely than the best by more nats than the window."""
+    """All models of up to some 20 free terms, except those more than `window` nats less likely than the best."""
     free = np.flatnonzero(np.isfinite(problem.log_odds))
     base = problem.log_odds == math.inf
     levels = model_scores(problem, free, base)
@@ -119,7 +119,7 @@ def enumerate_models(problem: Problem, window: float = FORGET) -> ModelSet:
 
 @kernel(borrowing=True)
 def _find(table: Ints, keys: Words, key: np.uint64) -> int:
-    """Slot of `key` in the open-addressing table: where it is, or the empty slot where it belongs."""
+    """Slot of `key` in the open-addressing hash table, or the empty slot where it is to be put."""
     mask = np.uint64(len(table) - 1)
     slot = key & mask
     while table[slot] >= 0 and keys[table[slot]] != key:
@@ -158,7 +158,7 @@ def _pop(heap: Ints, size: int | np.int64, scores: Floats) -> int:
 
 
 class _Listing(NamedTuple):
-    """Models met, (room, P), their scores and keys, a table of these, a heap of those to expand; how many of both."""
+    """Models found (room, P), their scores and keys, a hash table, a heap of models to expand; counts of both."""
 
     models: Bools
     scores: Floats
@@ -177,7 +177,7 @@ def _listing(room: int, terms: int) -> _Listing:
 
 @kernel(borrowing=True)
 def _add(listing: _Listing, model: Bools, i: int, j: int, key: np.uint64, score: float) -> bool:
-    """Lists a model with term j flipped and term i left out, where they are not -1; False if it was listed before."""
+    """List a model with term j flipped and term i taken out (-1: neither); False if it was listed before."""
     models, scores, keys, table, heap, counts = listing
     slot, count = _find(table, keys, key), counts[0]
     if table[slot] >= 0:
@@ -200,7 +200,7 @@ def _add(listing: _Listing, model: Bools, i: int, j: int, key: np.uint64, score:
 
 @kernel(borrowing=True)
 def _include(gains: Floats, current: Bools, weight: float, inclusion: Floats) -> None:
-    """Adds the inclusion probabilities given the other terms of a model, by the gains of flips."""
+    """Add `weight` times each term's probability given the other terms of a model, which the gains of flips give."""
     for j in range(len(current)):
         odds = -gains[j] if current[j] else gains[j]
         if odds > -FORGET:
@@ -237,7 +237,7 @@ def _search(
     T = swept(p, current)
     expanded = moves = 0
     while counts[1] > 0 and counts[0] < len(models) and moves < MOST_MOVES:
-        # what an expansion of the frontier is likely to bring in all, by the yield of recent expansions
+        # the mass that expanding the frontier is likely to add in total, by the yield of recent expansions
         if CAUTION * frontier * ratio / (1.0 - min(ratio, 0.9)) + dropped < tolerance * total:
             break
         item = _pop(heap, counts[1], scores)
@@ -260,7 +260,7 @@ def _search(
             for j in range(terms):
                 value = scores[item] + gains[j]
                 if value < top - keep:
-                    # met more than once, and so counted: the estimate of what is left out errs upwards
+                    # counted each time that it is met: the estimate of the mass left out errs upwards
                     if value > top - FORGET:
                         dropped += math.exp(value - reference)
                     continue
@@ -277,7 +277,7 @@ def _search(
         frontier += found
         recent_found = MEMORY * recent_found + found
         recent_spent = MEMORY * recent_spent + spent
-        # at least half of what the whole search has yielded per mass spent, for a lull may be chance
+        # mass found per mass expanded, at least half of that of the whole search, for a lull may be chance
         all_found += found
         all_spent += spent
         ratio = max(recent_found / recent_spent, 0.5 * all_found / all_spent, 1e-3)
@@ -289,8 +289,8 @@ def _search(
 
 
 def search_models(problem: Problem, tolerance: float = 5e-3, known: Sequence[Bools] = ()) -> ModelSet:
-    """Models that hold all but a share `tolerance` of the mass, from the local optima of `best_models` on, as far as
-    room and moves allow: `left_out` then tells. These are climbed to from `known` models too."""
+    """Models that hold all but a share `tolerance` of the mass, or less (see `left_out`) if room or moves run out.
+    The search starts from the local optima of `best_models`, to which `known` models climb too."""
     found, terms = best_models(problem, known), len(problem.Dty)
     most = int(min(MOST_MODELS, max(1000, MOST_BYTES // max(terms, 1))))
     zobrist = np.random.default_rng(0x5EED).integers(1, 2**63, size=terms, dtype=np.uint64)
@@ -303,7 +303,7 @@ def search_models(problem: Problem, tolerance: float = 5e-3, known: Sequence[Boo
         count = int(listing.counts[0])
         if left <= tolerance or room == most or count < room:
             break
-        # rarely needed, and cheaper than to clear a large table every time
+        # a second search is rarely needed, and cheaper than clearing a large table every time
         room = min(16 * room, most)
     order = np.argsort(-listing.scores[:count], kind="stable")
     return ModelSet(listing.models[order], listing.scores[order], left, expanded, inclusion=inclusion)
@@ -312,9 +312,9 @@ def search_models(problem: Problem, tolerance: float = 5e-3, known: Sequence[Boo
 def list_models(
     problem: Problem, tolerance: float = 5e-3, enumerate_up_to: int = ENUMERATE, known: Sequence[Bools] = ()
 ) -> ModelSet:
-    """All models of few free terms, or those that hold all but `tolerance` of the posterior mass.
+    """All models of up to `enumerate_up_to` free terms; of more, models that hold all but `tolerance` of the mass.
 
-    The search for these begins from `known` models too.
+    The search for the latter starts from `known` models too.
     """
     if int(np.isfinite(problem.log_odds).sum()) <= enumerate_up_to:
         return enumerate_models(problem)

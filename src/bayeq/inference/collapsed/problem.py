@@ -14,29 +14,28 @@ from bayeq.kernels import kernel
 
 NOTHING = np.empty((0, 0))
 
-# Rows of D'D computed one by one, which is bound by memory, take about as long as this many times as many in blocks of
-# this many.
+# A row of D'D computed alone, which is bound by memory, takes about as long as WHOLE_AFTER rows in blocks of BLOCK.
 WHOLE_AFTER = 20
 BLOCK = 256
 
-# Share of y'y below which a residual sum of squares is rounding of the Gram: without noise, terms would otherwise be
-# added that fit it. It stands for a noise of 1e-6 of the signal.
+# Share of y'y below which a residual sum of squares is rounding of the Gram: in data without noise, terms that fit the
+# rounding would otherwise be added. It corresponds to noise of 1e-6 of the signal.
 ROUNDING = 1e-12
 
 
 class Columns(NamedTuple):
-    """D'D as kernels take it: all of it, or its rows as they are asked for."""
+    """D'D as an argument of kernels: complete, or with rows that are computed when needed."""
 
     diagonal: Floats  # (P,), sums of squares of the columns
-    rows: Floats  # (P, P), rows of D'D; those not computed yet are memory never touched
-    slot: Ints  # (P,), where the row of each term is, -1 if it is not there yet
-    used: Ints  # (1,), number of rows that are there
-    data: Floats  # (n, P), the centred D, from which missing rows follow; empty if none is missing
+    rows: Floats  # (P, P), rows of D'D in the order of their computation; the rest is uninitialised
+    slot: Ints  # (P,), index in `rows` of the row of each term, -1 if it is not computed yet
+    used: Ints  # (1,), number of computed rows
+    data: Floats  # (n, P), the centred D, from which missing rows are computed; empty if D'D is complete
 
 
 @kernel
 def fetch(columns: Columns, j: int) -> None:
-    """Compute row j of D'D, which is not there yet; and all the others once single rows have cost as much as these."""
+    """Compute the missing row j of D'D, or all missing rows once single rows have cost as much as these will."""
     data, slot, terms = columns.data, columns.slot, len(columns.slot)
     used = columns.used[0]
     row = columns.rows[used]
@@ -66,7 +65,7 @@ def fetch(columns: Columns, j: int) -> None:
 def gram_block(columns: Columns, index: Ints) -> Floats:
     """D'D of some terms, (r, r)."""
     for j in index:
-        # what is missing may come with a row before it
+        # a row may have been computed together with one before it
         if columns.slot[j] < 0:
             fetch(columns, int(j))
     return columns.rows[np.ix_(columns.slot[index], index)]
@@ -88,7 +87,7 @@ def gram_columns(gram: GramLike) -> Columns:
 
 
 class Problem(NamedTuple):
-    """A sparse regression with its prior; made by `of`, taken whole by kernels."""
+    """A sparse regression with its prior, built by `of`; one argument of kernels."""
 
     # statistics of the (standardised) Gram
     columns: Columns
@@ -96,18 +95,18 @@ class Problem(NamedTuple):
     yty: float
     dof: float
     log_odds: Floats  # (P,), logit(p_0); +inf forces a term in, -inf keeps it out
-    size_prior: Floats  # (P+1,), what the number of terms adds to the log prior: 0, or by a beta-binomial prior
+    size_prior: Floats  # (P+1,), log prior of the number of terms beside `log_odds`: 0 unless beta-binomial
     inclusion_beta: Floats  # (2,), a and b of p_0 ~ Beta(a, b); empty where p_0 is given
     slab_variance: float  # v_s
     noise_shape: float  # a_sigma
     noise_rate: float  # b_sigma
     half_log_slab: float  # 1/2 ln v_s, the price of a term
     h: float  # a_sigma + N/2
-    floor: float  # least value of s = 2 b_sigma + RSS that the rounding of y'y lets us tell from zero
+    floor: float  # least value of s = 2 b_sigma + RSS that is above the rounding of y'y
 
     @classmethod
     def of(cls, gram: GramLike, prior: Prior) -> Problem:
-        """The problem that a Gram and a prior pose; an InputError refuses prior parameters out of range."""
+        """The problem of a Gram and a prior; an InputError refuses prior parameters out of range."""
         terms = len(gram.names)
         prior.validate(terms)
         return cls(

@@ -1,4 +1,4 @@
-"""Search over models by their exact log posterior (34), on the collapsed tableau; the best model of each size."""
+"""Search over models by their exact log posterior (34), on the collapsed tableau."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from bayeq.inference.collapsed.tableau import climb, flip, flip_gains, score, sw
 from bayeq.inference.rvm import rvm_gamma
 from bayeq.kernels import kernel
 
-# Up to this many terms a climb also starts from the full model (its cost grows as P^3), above from the support of the
-# RVM, up to the second number.
+# Up to FULL_START_TERMS terms a climb also starts from the full model (its cost grows as P^3); with more, up to
+# RVM_START_TERMS, from the support of the RVM.
 FULL_START_TERMS = 128
 RVM_START_TERMS = 500
 
-# What becomes of the models that are given to `explore`.
+# What `explore` does with each model first: nothing, a climb by flips, or one by flips and swaps.
 STAY, FLIP, SWAP = 0, 1, 2
 
 
 @kernel
 def _moves(p: Problem, active: Bools, window: float) -> tuple[Ints, Ints, Floats]:
-    """Flips and swaps from `active` within `window` of its score: terms out, terms in (-1 for none), gains."""
+    """Flips and swaps from `active` that lose less than `window` nats: terms out, terms in (-1: none), gains."""
     terms = len(active)
     T = swept(p, active)
     most = terms + T.size[0] * (terms - T.size[0])
@@ -50,7 +50,7 @@ def _moves(p: Problem, active: Bools, window: float) -> tuple[Ints, Ints, Floats
 
 @kernel
 def explore(p: Problem, models: Bools, way: int, window: float) -> tuple[Floats, tuple[Ints, Ints, Floats]]:
-    """Scores of models, and `_moves` from the best one, in one kernel: each takes its time to load.
+    """Scores of models, and `_moves` from the best one, in one kernel, because each kernel takes time to load.
 
     Each model first climbs, in place, by flips (`way` is FLIP), by flips and swaps (SWAP), or not at all (STAY).
     """
@@ -74,7 +74,7 @@ def scores_of(problem: Problem, models: Bools) -> Floats:
 
 
 def log_constant(problem: Problem) -> float:
-    """What `tableau.score` leaves out of ln p(y, z): eq. (34) and the Bernoulli prior."""
+    """Constant terms of ln p(y, z), eq. (34) with the Bernoulli prior, that `tableau.score` leaves out."""
     p = problem
     free = p.log_odds[np.isfinite(p.log_odds)]
     return float(
@@ -110,7 +110,7 @@ class Move:
     enters: int | None
 
     def apply(self, active: Bools) -> Bools:
-        """The model on the other side of the move."""
+        """The model after the move."""
         out = active.copy()
         if self.leaves is not None:
             out[self.leaves] = False
@@ -120,12 +120,12 @@ class Move:
 
 
 def neighbours(problem: Problem, active: Bools, window: float = math.inf) -> list[Move]:
-    """Flips and swaps from a model whose log posterior lies within `window` nats of it, best first."""
+    """Flips and swaps from a model that lose less than `window` nats of log posterior, best first."""
     return _listed(*explore(problem, active[None, :].copy(), STAY, window)[1])
 
 
 def _listed(out: Ints, into: Ints, gains: Floats) -> list[Move]:
-    """What `_moves` found, best first."""
+    """The results of `_moves` as a list of moves, best first."""
     order = np.argsort(-gains, kind="stable")
     return [
         Move(float(gains[k]), int(out[k]) if out[k] >= 0 else None, int(into[k]) if into[k] >= 0 else None)
@@ -161,7 +161,7 @@ def greedy_model(problem: Problem) -> Bools:
 
 
 def default_starts(problem: Problem) -> list[Bools]:
-    """Where a search climbs from: the empty model, and all terms or, where these are many, the RVM's support."""
+    """Models that a search climbs from: the empty one, and the full one or, with many terms, the RVM's support."""
     terms = len(problem.Dty)
     starts = [np.zeros(terms, dtype=np.bool_)]
     if terms <= FULL_START_TERMS:
@@ -172,7 +172,7 @@ def default_starts(problem: Problem) -> list[Bools]:
 
 
 def candidate_models(problem: Problem, starts: list[Bools], window: float = 2.0, limit: int = 6) -> list[Bools]:
-    """The best models found from some and those a move away, within `window` nats of the best, at most `limit`."""
+    """At most `limit` models within `window` nats of the best: optima reached from `starts`, neighbours of the best."""
     climbed = np.array(starts, dtype=np.bool_)
     scores, moves = explore(problem, climbed, SWAP, window)
     found = _ranked(scores, climbed)

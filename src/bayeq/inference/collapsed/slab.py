@@ -15,16 +15,16 @@ from bayeq.inference.gram import Gram, GramLike
 from bayeq.inference.prior import Prior
 from bayeq.numerics.settings import INFERENCE
 
-# Bounds of ln v_s above the floor, and the grids on which its maximum is found: each between the neighbours of the best
-# point of the one before, the last with steps of 3e-7.
+# Range of ln v_s above the floor, and the grids on which its maximum is found: GRIDS of GRID points, each between the
+# neighbours of the best point of the one before, the last with steps of 3e-7.
 LOG_RANGE = math.log(1e15)
 GRID = 41
 GRIDS = 6
 
-# Turns of maximising the model, then v_s.
+# Largest number of iterations, each of which maximises over the model, then over v_s.
 MAX_TURNS = 10
 
-# A slab that does not shrink coefficients.
+# Slab variance that hardly shrinks coefficients.
 UNSHRUNK = 1e12
 
 # Below this share of the target's standard deviation a residual is rounding of the Gram matrix.
@@ -32,7 +32,7 @@ LEAST_RESIDUAL = 1e-6
 
 
 def _best_slab(p: Problem, active: Bools, lowest: float) -> tuple[float, float]:
-    """ln v_s >= lowest that maximises the log posterior (34) of one model, by eigenvalues of D_r'D_r; that maximum."""
+    """ln v_s >= `lowest` that maximises the log posterior (34) of a model, by eigenvalues of D_r'D_r; the maximum."""
     index = np.flatnonzero(active)
     values, vectors = np.linalg.eigh(gram_block(p.columns, index))
     values = np.maximum(values, np.finfo(float).eps * values.max(initial=0.0))[:, None]
@@ -73,10 +73,10 @@ def learn_slab_variance(gram: GramLike, prior: Prior, floor: float = 10.0) -> fl
 
 
 def residual_scale(gram: Gram) -> float:
-    """Standard deviation of what all terms together leave of y: the unit in which the noise prior applies.
+    """Standard deviation of the residual of y on all terms together: the unit in which the noise prior applies.
 
-    In units of y IG(1e-4, 1e-4) weighs on the noise once it falls to about 0.1 % of the signal. With hardly more rows
-    than terms the residual is that of a quarter as many terms as there are rows, chosen by forward selection.
+    In units of y the prior IG(1e-4, 1e-4) would affect noise of about 0.1 % of the signal or less. With hardly more
+    rows than terms, the residual is that on terms chosen by forward selection, a quarter as many as rows at most.
     """
     sd = math.sqrt(gram.yty / gram.n)
     spare = gram.n - 1 - len(gram.names)
@@ -101,7 +101,7 @@ def _parameters(problem: Problem, active: Bools) -> tuple[Floats, Floats, float]
         inverse = np.linalg.inv(A)
         inverse = 0.5 * (inverse + inverse.T)
         mean = inverse @ p.Dty[index]
-    except np.linalg.LinAlgError:  # copies of a column: what the prior adds is lost in rounding
+    except np.linalg.LinAlgError:  # copies of a column: the ridge of the prior is lost in rounding
         values, axes = np.linalg.eigh(A)
         inverse = axes / np.maximum(values, 1.0 / p.slab_variance) @ axes.T
         mean = np.asarray(np.linalg.lstsq(A, p.Dty[index], rcond=None)[0], dtype=np.float64)
@@ -122,9 +122,9 @@ def noise_given_model(problem: Problem, active: Bools) -> float:
 
 
 def exact_posterior(problem: Problem, active: Bools, limits: Floats | None = None) -> tuple[Floats, Floats]:
-    """`given_model`, and within limits (P, 2) where they are known."""
+    """Like `given_model`, truncated at limits (P, 2) where these are known."""
     if limits is not None:
-        # brings scipy.special, which takes a while to import
+        # imports scipy.special, which takes a while
         from bayeq.inference.signs import truncated_models
 
         for _, coef, covariance, _ in truncated_models(problem, limits, active[None, :]):
@@ -133,7 +133,7 @@ def exact_posterior(problem: Problem, active: Bools, limits: Floats | None = Non
 
 
 def likeliest_by_rows(gram: Gram, allowed: Bools | None = None, most: float = math.inf) -> tuple[Bools, Floats]:
-    """The likeliest model of a regression, of `most` terms that are `allowed`, and its coefficients, (P,) each."""
+    """The likeliest model of a regression with at most `most` terms, all `allowed`; its coefficients, (P,) each."""
     standard = gram.standardise(residual_scale(gram))
     first = Prior() if allowed is None else Prior(prior_inclusion=np.where(allowed, 0.1, 0.0))
     prior = replace(first, slab_variance=learn_slab_variance(standard.gram, first))

@@ -6,14 +6,14 @@ With theta and sigma^2 integrated out (eq. (34)) a model z has the log posterior
     A = D_r'D_r + I/v_s,   s = 2 b_sigma + y'y - y'D_r A^-1 D_r'y,   h = a_sigma + N/2.
 
 The tableau M is the symmetric matrix [[D'D + I/v_s, D'y], [y'D, y'y + 2 b_sigma]] swept (Beaton 1964) on the
-active terms. Its entries are then all that a move needs:
+active terms. A move needs only these entries:
 
     active i, j     M_ij = -(A^-1)_ij          M_iy = posterior mean of theta_i
     inactive j      M_jj = Schur complement    M_jy = partial covariance with y
     y               M_yy = s
 
-so the log-odds of any flip or swap are O(1). No move asks for M_jk of two inactive terms: the tableau is thin, it keeps
-the rows of the r active terms, the diagonal and the column of y, and a flip costs O(r P) however large the dictionary.
+so the log-odds of any flip or swap are O(1). No move needs M_jk of two inactive terms: the tableau stores only the rows
+of the r active terms, the diagonal and the column of y, and a flip costs O(r P) however large the dictionary.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ from bayeq.kernels import kernel
 # A climb stops when no move gains this much log posterior: above the rounding of h ln(s).
 GAIN_TOLERANCE = 1e-8
 
-# A tableau has drifted if what it keeps is this far from what its rows and the Gram give: s and Schur complements in
-# their own units, M_jy in those of a t-value. Looked for after this many steps of engines that go from model to model.
+# A tableau has drifted if entries differ by this from their values by the active rows and the Gram: s and Schur
+# complements relatively, M_jy in units of a t-value. Engines that go from model to model check this every LOOK steps.
 DRIFT = 1e-6
 LOOK = 16
 
-# A column whose variance left by earlier ones is a smaller share of its own depends on them.
+# A column counts as linearly dependent on earlier ones if less than this share of its variance is left given these.
 DEPENDENT = 1e-13
 
-# Most terms that a model may hold.
+# Largest number of terms in a model.
 MOST_ACTIVE = 2048
 
 
@@ -70,9 +70,9 @@ def build(columns: Columns, Dty: Floats, yty: float, ridge: float) -> Tableau:
 
 @kernel
 def _sweep(T: Tableau, pivot_row: Floats, j: int, pivot: float, skip: int) -> None:
-    """Rank-one update of everything kept but row `skip`, by the row of term j before its own scaling.
+    """Rank-one update of all stored entries except row `skip`, by the row of term j before its own scaling.
 
-    Both factors are that row: from row and column the rounding asymmetry of M would grow from flip to flip.
+    Both factors are that row: with row and column, the asymmetry of M by rounding would grow from flip to flip.
     """
     p = len(T.partial)
     size = abs(pivot)
@@ -97,7 +97,7 @@ def _sweep(T: Tableau, pivot_row: Floats, j: int, pivot: float, skip: int) -> No
 
 @kernel
 def enter(columns: Columns, Dty: Floats, T: Tableau, j: int, ridge: float) -> float:
-    """Sweep inactive term j in, its diagonal raised by `ridge` in all; returns ln|pivot|, by which ln|A| changes."""
+    """Sweep inactive term j in, with `ridge` added to its diagonal in D'D; returns ln|pivot|, the change of ln|A|."""
     p = len(Dty)
     r = T.size[0]
     new = T.rows[r]
@@ -130,7 +130,7 @@ def enter(columns: Columns, Dty: Floats, T: Tableau, j: int, ridge: float) -> fl
 
 @kernel
 def leave(T: Tableau, j: int) -> float:
-    """Sweep active term j out; returns ln|pivot|, by which ln|A| changes. M_jj then holds the ridge it entered with."""
+    """Sweep active term j out; returns ln|pivot|, the change of ln|A|. M_jj then holds the ridge it entered with."""
     a = T.row[j]
     last = T.size[0] - 1
     old = T.rows[a]
@@ -149,7 +149,7 @@ def leave(T: Tableau, j: int) -> float:
 
 @kernel
 def flip(p: Problem, T: Tableau, j: int) -> float:
-    """Sweep term j in or out, in place; returns ln|pivot|, by which ln|A| changes."""
+    """Sweep term j in or out, in place; returns ln|pivot|, the change of ln|A|."""
     if T.row[j] >= 0:
         return leave(T, j)
     return enter(p.columns, p.Dty, T, j, 1.0 / p.slab_variance)
@@ -180,10 +180,10 @@ def renew(p: Problem, T: Tableau, active: Bools) -> None:
 
 @kernel
 def strayed(columns: Columns, Dty: Floats, yty: float, ridges: Floats, floor: float, T: Tableau) -> bool:
-    """Whether rounding has spoilt a tableau that was led from model to model, so that it must be swept again.
+    """Whether rounding has spoilt a tableau that was moved from model to model, so that it must be swept again.
 
-    M_yy, M_jy and M_jj are compared to what they are by definition given the active rows, b - sum_a M_ja b_a with the b
-    of the Gram. About the price of one flip. `ridges` (P,) are those of each term, `floor` the least s that counts.
+    M_yy, M_jy and M_jj are compared to their definitions given the active rows, b - sum_a M_ja b_a with b from the
+    Gram. This costs about one flip. `ridges` (P,) are those of each term, `floor` is the least s that counts.
     """
     terms, r = len(Dty), T.size[0]
     s = max(T.diagonal[terms], floor)
@@ -199,7 +199,7 @@ def strayed(columns: Columns, Dty: Floats, yty: float, ridges: Floats, floor: fl
         return True
     for j in range(terms):
         if T.row[j] >= 0:
-            # the normal equations, in units of a t-value of a column alone
+            # the residual of the normal equations, in units of a t-value of the column alone
             error, pivot = pull[j] - ridges[j] * T.partial[j], -1.0 / T.diagonal[j]
         else:
             error, pivot = pull[j] - T.partial[j], T.diagonal[j]
@@ -219,7 +219,7 @@ def drifted(p: Problem, T: Tableau) -> bool:
 
 @kernel(borrowing=True)
 def move_to(p: Problem, T: Tableau, current: Bools, model: Bools) -> None:
-    """Bring the tableau of one model to another, and `current` with it."""
+    """Move the tableau, and `current` with it, from one model to another, in place."""
     for j in range(len(current)):
         if model[j] != current[j]:
             flip(p, T, j)
@@ -235,14 +235,14 @@ def active_block(T: Tableau, index: Ints) -> Floats:
 
 @kernel
 def data_gain(pivot: float, partial: float, s: float, floor: float, h: float) -> float:
-    """What a flip with this pivot changes in -1/2 ln|A| - h ln(s/2)."""
+    """Change of -1/2 ln|A| - h ln(s/2) by a flip with this pivot and partial covariance with y."""
     s = max(s, floor)
     return -0.5 * math.log(abs(pivot)) - h * math.log(max(s - partial * partial / pivot, floor) / s)
 
 
 @kernel
 def expit(log_odds: float) -> float:
-    """The probability of some log-odds, without cancellation near 0 and 1."""
+    """The probability with these log-odds, without cancellation near 0 and 1."""
     if log_odds >= 0.0:
         return 1.0 / (1.0 + math.exp(-log_odds))
     e = math.exp(log_odds)
@@ -251,7 +251,7 @@ def expit(log_odds: float) -> float:
 
 @kernel
 def size_gains(p: Problem, T: Tableau) -> tuple[float, float]:
-    """Change of the log prior, apart from the term's own log-odds, when any term enters and when any leaves."""
+    """Changes of the log prior when any term enters, and when any leaves, without the term's own log-odds."""
     r = T.size[0]
     full = r == len(T.rows)
     enters = -math.inf if full else p.size_prior[r + 1] - p.size_prior[r] - p.half_log_slab
@@ -261,7 +261,7 @@ def size_gains(p: Problem, T: Tableau) -> tuple[float, float]:
 
 @kernel
 def flip_gains(p: Problem, T: Tableau, out: Floats) -> None:
-    """Change of the log posterior when each term is flipped, into `out`; -inf for a forced or forbidden one."""
+    """Changes of the log posterior by flips of each term, into `out` (P,); -inf for a forced or forbidden one."""
     enters, leaves = size_gains(p, T)
     diagonal, partial, row, log_odds = T.diagonal, T.partial, T.row, p.log_odds
     floor, h, s = p.floor, p.h, T.diagonal[-1]
@@ -275,7 +275,7 @@ def flip_gains(p: Problem, T: Tableau, out: Floats) -> None:
 
 @kernel
 def swap_gains(p: Problem, T: Tableau, i: int, out: Floats) -> None:
-    """Change of the log posterior as active term i is replaced by each inactive one, into `out`; -inf: forbidden."""
+    """Changes of the log posterior by swaps of active term i for each inactive one, into `out`; -inf if forbidden."""
     diagonal, partial, row, log_odds = T.diagonal, T.partial, T.row, p.log_odds
     own = T.rows[row[i]]
     floor, h, s, price = p.floor, p.h, max(diagonal[-1], p.floor), log_odds[i]
@@ -306,7 +306,7 @@ def best_swap(p: Problem, T: Tableau, least: float) -> tuple[float, int, int]:
 
 @kernel
 def climb(p: Problem, T: Tableau, active: Bools, swaps: bool) -> float:
-    """Steepest ascent from a model, in place, by flips, and with `swaps` where none improves by swaps; its gain."""
+    """Steepest ascent from a model, in place, by flips, and if `swaps` by swaps where no flip improves; the gain."""
     terms = len(active)
     gained = 0.0
     gains = np.empty(terms)
@@ -333,7 +333,7 @@ def climb(p: Problem, T: Tableau, active: Bools, swaps: bool) -> float:
 
 @kernel
 def score(p: Problem, active: Bools, slab_variance: float) -> float:
-    """Log posterior of one model up to `search.log_constant`, at any v_s, by Cholesky: it does not drift."""
+    """Log posterior of one model up to `search.log_constant`, at any v_s, by Cholesky, which does not drift."""
     index = np.empty(len(active), np.int64)
     r = 0
     for j in range(len(active)):

@@ -1,7 +1,7 @@
-"""The table of file formats: what each is called, how its files are known, and the module that reads them.
+"""The table of file formats: their titles, how files are recognised, and the modules that read and write them.
 
 A new format is one new file in this folder and a row in `FORMATS`, or an entry point ``bayeq.formats`` of another
-package. The content of a file tells its format, or else its suffix.
+package. A format is recognised by the content of a file, or else by its suffix.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ class Format:
 
     title: str
     suffixes: tuple[str, ...]  # in lower case
-    holds: Callable[[Path, bytes], bool]  # by a file's path and first bytes; never of text, which anything may be
+    holds: Callable[[Path, bytes], bool]  # by path and first bytes; False for delimited text
     flat: Flat | None = None  # the module that reads it as one table
     nested: Nested | None = None  # the module that lists its arrays
     writer: Writer | None = None
-    rows: type[FileRows] | None = None  # what reads some of its rows
+    rows: type[FileRows] | None = None  # the reader of chunks of rows
     extra: str = ""  # the extra of bayeq that it needs
-    keeps: str = ""  # what of units and rate its files hold, for the documentation
+    keeps: str = ""  # units and rate that its files can hold, for the documentation
 
 
 def _begins(*marks: bytes) -> Callable[[Path, bytes], bool]:
@@ -42,7 +42,7 @@ def _begins(*marks: bytes) -> Callable[[Path, bytes], bool]:
 
 
 def _is_hdf5(path: Path, head: bytes) -> bool:
-    """Whether HDF5's mark is at the beginning or after a block of the user's, as in MATLAB's files."""
+    """Whether HDF5's signature is at the beginning, or after a user block, as in MATLAB's files."""
     with path.open("rb") as file:
         for place in (0, 512, 1024, 2048, 4096, 8192):
             file.seek(place)
@@ -52,7 +52,7 @@ def _is_hdf5(path: Path, head: bytes) -> bool:
 
 
 def _is_zip_of(member: str, *marks: bytes) -> Callable[[Path, bytes], bool]:
-    """Whether a file is an archive with such a member, or begins otherwise with one of the marks."""
+    """A test for ZIP archives that have a `member` of this ending, and for other files that begin with a mark."""
 
     def holds(path: Path, head: bytes) -> bool:
         if not head.startswith(b"PK\x03\x04"):
@@ -61,7 +61,7 @@ def _is_zip_of(member: str, *marks: bytes) -> Callable[[Path, bytes], bool]:
             with zipfile.ZipFile(path) as archive:
                 return any(name.endswith(member) for name in archive.namelist())
         except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
-            return False  # damaged: the suffix tells whose it was
+            return False  # damaged: the suffix decides
 
     return holds
 
@@ -104,11 +104,11 @@ FORMATS: tuple[Format, ...] = (
     Format("compressed text", (".gz",), _begins(b"\x1f\x8b"), flat=gz, writer=gz, keeps="as the text in it"),
 )  # fmt: skip
 
-# Formats of other packages, for files that are of none of these.
+# Formats of other packages, for files that no format above recognises.
 ADDED = Table("formats", Format, {})
 
 TEXT = FORMATS[0]
-# Formats of text that their suffix tells apart from tables.
+# Text formats that the suffix distinguishes from delimited text.
 _OF_TEXT = (uff, lvm)
 
 

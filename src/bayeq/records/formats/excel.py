@@ -17,18 +17,18 @@ from bayeq.records.columns import Columns, Names, Select
 from bayeq.records.formats import text
 from bayeq.records.formats.protocol import MOST_COLUMNS, check_claim, reading
 
-#: The mark of the container of .xls files.
+#: First bytes of .xls files (an OLE container).
 OLE = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"
 MOST_ROWS = 1_048_576
-# A file and one of its sheets, whose names have no brackets.
+# A path with the name of a sheet in brackets; such names contain no brackets.
 _WITH_SHEET = re.compile(r"(.+\.xls[xm]?)\[([^\[\]]+)\]", re.IGNORECASE)
 Sheet = tuple[str, Iterable[Iterable[Any]]]
 
 
 def read_columns(path: Path, *, names: Names = None, chosen: Select | None = None, sheet: str | None = None) -> Columns:
-    """Read a sheet, by default that with most rows of numbers, as text is read; of formulas the saved values."""
+    """Read a sheet, by default the one with most rows of numbers, like delimited text; formulas give saved values."""
     where = str(path)
-    titles: dict[str, int] = {}  # and how many rows of numbers each has
+    titles: dict[str, int] = {}  # number of rows of numbers by sheet
     with tempfile.TemporaryDirectory() as folder, reading(where, "Excel file"):
         plain, other, best = Path(folder) / "sheet", Path(folder) / "other", ""
         with path.open("rb") as file:
@@ -56,7 +56,7 @@ def read_columns(path: Path, *, names: Names = None, chosen: Select | None = Non
 
 
 def without_sheet(path: Path) -> tuple[Path, str | None]:
-    """A path and the sheet that is named behind it.
+    """Split a path from the name of a sheet in brackets at its end; None without one.
 
     >>> without_sheet(Path("book.xlsx[Run 1]"))
     (PosixPath('book.xlsx'), 'Run 1')
@@ -70,11 +70,11 @@ def _xlsx(path: Path) -> Iterator[Sheet]:
         import openpyxl
     with zipfile.ZipFile(path) as archive:
         check_claim(str(path), "the workbook", sum(m.file_size for m in archive.infolist()), path.stat().st_size)
-    with path.open("rb") as file:  # by its name openpyxl would judge the suffix
+    with path.open("rb") as file:  # given the path, openpyxl would check the suffix
         book = openpyxl.load_workbook(file, read_only=True, data_only=True, keep_links=False)
         try:
             for sheet in book.worksheets:
-                sheet.reset_dimensions()  # which the file claims, and every row would be padded to
+                sheet.reset_dimensions()  # claimed by the file; every row would be padded to them
                 yield sheet.title, sheet.iter_rows(values_only=True)
         finally:
             book.close()
@@ -101,11 +101,11 @@ def _xls_row(xlrd: Any, book: Any, cells: Iterable[Any]) -> list[Any]:
 
 
 def _write_text(rows: Iterable[Iterable[Any]], path: Path) -> int:
-    """Write a sheet as text separated by tabs; how many rows hold a number."""
+    """Write a sheet as text separated by tabs; returns the number of rows that hold a number."""
     numbers = width = 0
     with path.open("w", encoding="utf-8") as file:
         for number, row in enumerate(rows):
-            if number == MOST_ROWS:  # a row may claim any number, and those above it would be made up
+            if number == MOST_ROWS:  # for a damaged row number openpyxl would make up all rows above it
                 raise FileFormatError(f"a row beyond {MOST_ROWS}, the last that Excel has; the file is damaged")
             cells = list(row)
             while cells and cells[-1] is None:

@@ -1,4 +1,4 @@
-"""HDF5 files and MATLAB's v7.3, which is HDF5, by h5py (the extra ``files``); nothing outside the file is followed."""
+"""HDF5 files and MATLAB's v7.3, which is HDF5, by h5py (the extra ``files``); links to other files are refused."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from bayeq.records.record import Record
 _MARK = "bayeq"  # an attribute of files that bayeq wrote: arrays of one number are channels there
 _KIND = "HDF5 file"
 _NUMBERS = frozenset({"double", "single", "logical", *(f"{u}int{bits}" for u in ("", "u") for bits in (8, 16, 32, 64))})
-# A heap of strings begins so, with its version; HDF5 does not look at the three reserved bytes that follow.
+# First bytes of a heap of strings, with its version, and the head of its objects; HDF5 ignores three bytes in between.
 _HEAP, _OBJECT = b"GCOL\x01", struct.Struct("<HHIQ")
 # Larger files are not searched for heaps.
 LARGEST = 2**30
@@ -36,13 +36,13 @@ def _h5py() -> Any:
 
 @dataclass(frozen=True, slots=True)
 class _Dataset:
-    """A dataset that is read when it is asked for, or a field of one."""
+    """A dataset, or a field of one, that is read when it is indexed."""
 
     path: Path
     place: str
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
-    transposed: bool = False  # MATLAB counts the other way round
+    transposed: bool = False  # MATLAB stores arrays by columns
     column: str | None = None
     about: Mapping[str, Any] = field(default_factory=dict)
 
@@ -89,7 +89,7 @@ class _Tree:
         if "step" in about:
             found["dt"] = np.asarray(about["step"])
         for name in group:
-            if not name.startswith("#"):  # where MATLAB keeps what it refers to
+            if not name.startswith("#"):  # groups in which MATLAB keeps referenced arrays
                 link = group.get(name, getlink=True)
                 place = f"{group.name.rstrip('/')}/{name}"
                 if isinstance(link, self.h5py.ExternalLink):
@@ -149,11 +149,11 @@ class _Tree:
         )
 
     def cells(self, node: Any, place: str, depth: int) -> Any:
-        """What the cells of a dataset refer to, within the same file."""
+        """The arrays that a dataset of references (MATLAB's cells) points to, by index; all in the same file."""
         self.visited += math.prod(node.shape)
         if self.visited > 2 * MOST_ARRAYS:
             raise FileFormatError(f"{self.path}: {place[:60]!r} has too many cells")
-        cells = np.asarray(node[...]).T  # MATLAB counts the other way round
+        cells = np.asarray(node[...]).T  # MATLAB stores arrays by columns
         if cells.size == 0:
             return None
         flat = max(cells.shape, default=1) == cells.size
@@ -171,7 +171,7 @@ class _Tree:
 
 
 def _by_index(fields: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Fields of an array of structs as structs by their index."""
+    """Convert the fields of an array of structs to one struct for each index."""
     indices = {index: None for cells in fields.values() if isinstance(cells, Mapping) for index in cells}
     return {
         index: {name: cells.get(index) for name, cells in fields.items() if isinstance(cells, Mapping)}
@@ -180,12 +180,12 @@ def _by_index(fields: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
 
 
 def _about(node: Any) -> dict[str, Any]:
-    """The unit and the time step that attributes state."""
+    """The unit and the time step [s] stated by attributes."""
     out: dict[str, Any] = {}
     for name in node.attrs:
         if name.casefold() in ("unit", "units"):
             value = _attribute(node, name)
-            if (unit := _text(value)) or isinstance(value, str):  # empty: none, whatever the name ends in
+            if (unit := _text(value)) or isinstance(value, str):  # an empty unit overrides one in the name
                 out["unit"] = unit
         elif name in (*STEP_NAMES, *RATE_NAMES) and (step := step_of(name, _attribute(node, name))) is not None:
             out["step"] = step
@@ -193,7 +193,7 @@ def _about(node: Any) -> dict[str, Any]:
 
 
 def _attribute(node: Any, name: str) -> Any:
-    """The value of an attribute that is one text or one number; None of others, or if there is none.
+    """The value of an attribute that is a single text or number; None for any other, or if it is missing.
 
     Damaged attributes of other types, sequences of varying length among them, crash the HDF5 library itself.
     """
@@ -212,10 +212,10 @@ def _text(value: Any) -> str:
 
 
 def _require_sound_heaps(path: Path) -> None:
-    """Refuse a file with a heap of strings that does not end, as a run that was cut off may leave.
+    """Raise a FileFormatError if a heap of strings does not end, as an interrupted run may leave it.
 
-    HDF5 2.0 walks one with a free object of no size for ever, and Ctrl-C does not reach a loop of machine code. The
-    layout is that of section III.E, "Disk Format: Level 1E - Global Heap", of the HDF5 file format specification.
+    HDF5 2.0 loops forever at a free object of size 0, and Ctrl-C does not stop its compiled loop. The layout is that of
+    section III.E, "Disk Format: Level 1E - Global Heap", of the HDF5 file format specification.
     """
     if not 0 < path.stat().st_size <= LARGEST:
         return
@@ -228,9 +228,9 @@ def _require_sound_heaps(path: Path) -> None:
 
 
 def _ends(content: mmap.mmap, start: int) -> bool:
-    """Whether the objects of a heap lead to its end."""
+    """Whether stepping from object to object of a heap reaches its end."""
     if start + 16 > len(content):
-        return True  # which HDF5 says itself
+        return True  # HDF5 itself reports that it is cut off
     stop = min(start + struct.unpack_from("<Q", content, start + 8)[0], len(content))
     at = start + 16
     while at + _OBJECT.size <= stop:
@@ -255,7 +255,7 @@ def write(record: Record, path: Path) -> None:
 
 
 class Hdf5Rows(FileRows):
-    """Rows of the arrays of one length that `bayeq.read` takes for the same request."""
+    """Rows of an HDF5 file, of the arrays that `bayeq.read` takes for the same request."""
 
     @cached_property
     def bounds(self) -> tuple[int, ...]:

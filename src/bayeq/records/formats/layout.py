@@ -18,11 +18,11 @@ T = TypeVar("T")
 _SAMPLE_LINES = 200
 _SAMPLE_BYTES = 65536
 _LONGEST_LINE = 2**21
-# This number of rows of numbers in a sequence are the beginning of a table.
+# A table begins at this many consecutive rows of numbers.
 _ROWS = 3
-# Rows above a table that may belong to its head.
+# Maximum number of header rows above a table.
 _HEAD = 8
-# Campbell's row of how a value was made of samples.
+# Words in Campbell's header row of how samples were combined into a value.
 _PROCESSING = frozenset({"smp", "avg", "min", "max", "tot", "std", "med", "win", ""})
 
 _NUMBER = r"(?P<number>[+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?)"
@@ -46,7 +46,7 @@ _UNITS = {
 
 
 class Layout(NamedTuple):
-    """Where the columns of a text file are."""
+    """The layout of a delimited text file."""
 
     encoding: str
     delimiter: str | None  # between cells; None for white space
@@ -71,7 +71,7 @@ def encodings(path: Path) -> tuple[str, ...]:
 
 
 def decoded(path: Path, where: str, read: Callable[[str], T]) -> T:
-    """What is read in the first encoding that fits; a FileFormatError if the file is not text."""
+    """The result of `read` with the first encoding that fits; a FileFormatError if the file is not text."""
     for encoding in encodings(path):
         try:
             return read(encoding)
@@ -114,7 +114,7 @@ def sniff(path: Path, encoding: str, where: str = "", skip: int = 0) -> Layout:
         raise FileFormatError(f"{where}: the file has no data after the {skip} skipped line{'s' * (skip != 1)}")
     if not lines:
         raise FileFormatError(f"{where}: the file is empty{' but for comments' if comments else ''}")
-    asked = re.fullmatch(r"\s*\"?sep=(.)\"?\s*", lines[0][1])  # a line that Excel reads and writes
+    asked = re.fullmatch(r"\s*\"?sep=(.)\"?\s*", lines[0][1])  # Excel's line that states the delimiter
     if asked:
         lines = lines[1:]
         if not lines:
@@ -178,7 +178,7 @@ def _fit_header(where: str, header: list[str], row: list[str], line: int, row_li
 
 
 def comment_header(layout: Layout) -> list[list[str]]:
-    """Readings of the comment before the data as column names: all of them, or all but trial and time."""
+    """Possible column names from the comment before the data: of all columns, or of all but trial and time."""
     if layout.header is not None or not layout.comment:
         return []
     found = []
@@ -195,7 +195,7 @@ def comment_header(layout: Layout) -> list[list[str]]:
 
 
 class Table(NamedTuple):
-    """Where a table begins among the lines of a file, and what stands above it."""
+    """First line of a table, its delimiter, and the header and time step [s] from the lines above it."""
 
     start: int
     delimiter: str | None
@@ -204,7 +204,7 @@ class Table(NamedTuple):
 
 
 def find_table(rows: Sequence[str]) -> Table | None:
-    """The table below a preamble, of the first lines that are no comments; None without one, or below damaged data."""
+    """Find the table below a preamble, in the first lines but comments; None without one, or below damaged data."""
     if len(rows) < _ROWS:
         return None
     delimiter = delimiter_of(rows[-max(1, len(rows) // 2) :])
@@ -213,13 +213,13 @@ def find_table(rows: Sequence[str]) -> Table | None:
     start = next((i for i in range(len(rows) - _ROWS + 1) if all(like[i : i + _ROWS])), 0)
     if start < 2 or any(_is_numbers(row, delimiter) for row in rows[:start]):
         return None
-    if all(is_number(split(row, delimiter)[0]) for row in rows[:start]):  # faulty rows: nothing there names anything
+    if all(is_number(split(row, delimiter)[0]) for row in rows[:start]):  # faulty rows of data, not a preamble
         return None
     rigol = _rigol(rows, start, delimiter)
     if rigol is not None:
         return rigol
     above = [fitted(words(row, delimiter, width), width) for row in rows[:start]]
-    # below a header are units, or faulty rows
+    # rows between a header and the table are units, or faulty
     faulty = start == 2 or any(cells is not None and is_number(cells[0]) for cells in above[1:])
     if faulty and above[0] is not None and is_words(above[0]):
         return None
@@ -227,7 +227,7 @@ def find_table(rows: Sequence[str]) -> Table | None:
         return None
     head: list[list[str]] = []
     for cells in reversed(above[-_HEAD:]):
-        # above a row of units stand names, even if some are numbers of channels
+        # the row above a row of units holds names, even if some are channel numbers
         named = len(head) == 1 and _unit_row(head[0]) is not None
         if cells is None or (any(map(is_number, cells)) and (not named or all(map(is_number, cells)))):
             break
@@ -239,7 +239,7 @@ def find_table(rows: Sequence[str]) -> Table | None:
 
 
 def _is_data(row: str, delimiter: str | None, width: int) -> bool:
-    """Whether a line is a row of numbers, missing numbers and time stamps, at least one of them there."""
+    """Whether a line is a row of numbers, time stamps and missing cells, not all of them missing."""
     cells = fitted(split(row, delimiter), width)
     if cells is None:
         return False
@@ -248,7 +248,7 @@ def _is_data(row: str, delimiter: str | None, width: int) -> bool:
 
 
 def _is_numbers(row: str, delimiter: str | None) -> bool:
-    """Whether a line is a row of several numbers, as of a table, of whatever width."""
+    """Whether a line is a row of two or more numbers, whatever its width."""
     cells = [cell for cell in split(row, delimiter) if cell]
     return len(cells) > 1 and all(map(is_number, cells))
 
@@ -271,13 +271,13 @@ def _names(head: list[list[str]]) -> list[str] | None:
 
 
 def _unit_row(cells: Sequence[str]) -> list[str] | None:
-    """The units of a row in which every cell is one (or Campbell's marks of time and number); None if it is not."""
+    """The units of a row whose cells are all units, empty, or Campbell's marks of time and number; None if not."""
     units = ["" if cell in ("TS", "RN") else unit_cell(cell) for cell in cells]
     return [unit or "" for unit in units] if any(units) and None not in units else None
 
 
 def _with_stated_units(names: list[str], above: Sequence[list[str] | None]) -> list[str]:
-    """Names with the units of a line such as ``Vertical Units,V,A``, which has one for every channel but the first."""
+    """Names with units from a line such as ``Vertical Units,V,A``, which states one for every column but the first."""
     for cells in above:
         if cells is not None and cells[0].casefold() in ("vertical units", "units", "unit", "einheit", "einheiten"):
             units = [unit_cell(cell) for cell in cells[1:]]
@@ -292,7 +292,7 @@ def with_units(names: Sequence[str], units: Sequence[str]) -> list[str]:
 
 
 def _rigol(rows: Sequence[str], start: int, delimiter: str | None) -> Table | None:
-    """Rigol's oscilloscopes write start and step of time beside the names of the channels."""
+    """The table of a Rigol oscilloscope, which states start and step of time next to the names; None for others."""
     names, below = split(rows[start - 2], delimiter), split(rows[start - 1], delimiter)
     lower = [name.casefold() for name in names]
     if "increment" not in lower or len(below) < len(names) or not is_number(below[lower.index("increment")]):
@@ -348,7 +348,7 @@ def is_comment(line: str) -> bool:
 
 
 def is_blank(line: str) -> bool:
-    """Whether a line is white space of any script, or the mark of the end that old systems write."""
+    """Whether a line is white space of any script, or the end-of-file mark (Ctrl-Z) of old systems."""
     return not line.strip().strip("\x1a")
 
 
@@ -368,7 +368,7 @@ def split(line: str, delimiter: str | None) -> list[str]:
 
 
 def fitted(cells: list[str], width: int) -> list[str] | None:
-    """The cells without the empty one that a delimiter at the end of a line leaves; None of another number of cells."""
+    """The cells, without an empty last one from a trailing delimiter; None unless their number is `width`."""
     if len(cells) == width + 1 and not cells[-1].strip():
         cells = cells[:-1]
     return cells if len(cells) == width else None
@@ -389,12 +389,12 @@ def bracketed_words(line: str) -> list[str]:
     return [word.strip("\"'") for word in _WORD.findall(line)]
 
 
-# A number with a decimal comma in quotes; of three digits behind it the comma may part thousands.
+# A quoted number with a decimal comma; before three digits it may be a separator of thousands instead.
 _QUOTED_COMMA = re.compile(r'"[+-]?\d+,(?!\d{3}")\d+(?:[eE][+-]?\d+)?"')
 
 
 def unquoted(line: str) -> str:
-    """The line without the quotes of a file of one column, where no delimiter tells that it is a cell.
+    """A line that is one quoted cell (of a file of one column) without its quotes; other lines are unchanged.
 
     >>> unquoted('"x [in""]"'), unquoted('"x" "v"')
     ('x [in"]', '"x" "v"')
@@ -404,7 +404,7 @@ def unquoted(line: str) -> str:
 
 
 def is_number(cell: str) -> bool:
-    """Whether a cell is a finite number, perhaps with a decimal comma or an exponent of Fortran's."""
+    """Whether a cell is a finite number, possibly with a decimal comma or a Fortran exponent (1d3)."""
     try:
         float(cell.lower().replace("d", "e"))
     except ValueError:
@@ -413,14 +413,14 @@ def is_number(cell: str) -> bool:
 
 
 def is_words(cells: list[str]) -> bool:
-    """Whether cells are names: no number among them, and something other than missing numbers."""
+    """Whether cells are names: none is a number, and not all are missing or infinite."""
     return not any(map(is_number, cells)) and any(
         cell.lower() not in MISSING and cell.strip("+-").lower() not in ("inf", "infinity") for cell in cells
     )
 
 
 def delimiter_of(lines: Sequence[str]) -> str | None:
-    """The character that most lines have, asked in the order ; tab | , and white space if none."""
+    """The first of ; tab | , that at least half of the lines contain; None, for white space, if there is none."""
     for mark in (";", "\t", "|", ","):
         if 2 * sum(mark in line for line in lines) < len(lines):
             continue
@@ -430,13 +430,13 @@ def delimiter_of(lines: Sequence[str]) -> str | None:
             mixed = any(len(row) > line.strip().count(mark) + 1 for row, line in zip(parts, lines, strict=True))
             return None if mixed else mark
         if mark == "," and all(len(row) > 1 and all(map(_COMMA_CELL.fullmatch, row)) for row in parts):
-            return None  # decimal commas, which the reader refuses by name
+            return None  # decimal commas, which the reader reports
         return mark
     return None
 
 
 def unit_cell(cell: str) -> str | None:
-    """The unit that a cell of a row of units holds, empty where there is none; None if it is no unit.
+    """The unit in a cell of a row of units, empty if the cell is; None if the text is not a unit.
 
     >>> unit_cell("[m/s]"), unit_cell("Volts"), unit_cell(""), unit_cell("Alice")
     ('m/s', 'V', '', None)
@@ -448,7 +448,7 @@ def unit_cell(cell: str) -> str | None:
     return bare if not text or _UNIT_CELL.match(text) else None
 
 
-#: Whole seconds (since 1970 or midnight) and the rest: their difference keeps every digit.
+#: Whole seconds (since 1970 or midnight) and the fraction: differences keep every digit.
 Stamp = tuple[int, float]
 
 _DAY = (
@@ -465,9 +465,9 @@ _FIRST = datetime(1970, 1, 1)
 
 
 def parse_stamp(text: str, day_first: bool = False) -> Stamp | None:
-    """A date, a date with a clock, or a clock; None of other text.
+    """Parse a date, a date with a time of day, or a time of day; None for other text.
 
-    Of dates with slashes and the year at the end the month is first, unless it is no month or `day_first`.
+    In dates such as 3/1/2024 the month is first, unless that number exceeds 12 or with `day_first`.
 
     >>> parse_stamp("2024-03-01 12:00:01.5"), parse_stamp("0:00:01,25"), parse_stamp("01.03.2024 12:00:00,25")[1]
     ((1709294401, 0.5), (1, 0.25), 0.25)

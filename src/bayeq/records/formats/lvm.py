@@ -26,7 +26,7 @@ def channels(path: Path) -> list[Channel]:
         raise FileFormatError(f"{where}: not a LabVIEW measurement file: its first line is another")
     header, place = _header(lines, 1, where, "\t")
     mark = _SEPARATORS.get(header.get("Separator", ["Tab"])[0].casefold(), "\t")
-    # otherwise one header stands for all segments, whose rows follow each other
+    # otherwise one header applies to all segments, whose rows follow each other
     several = header.get("Multi_Headings", ["Yes"])[0].casefold() == "yes"
     segments: list[list[Channel]] = []
     while (place := _next(lines, place)) < len(lines):
@@ -66,7 +66,7 @@ def _header(lines: Sequence[str], place: int, where: str, mark: str) -> tuple[di
 def _segment(
     lines: Sequence[str], place: int, about: dict[str, list[str]], mark: str, several: bool, where: str
 ) -> Iterator[Channel]:
-    """The channels of the rows from the line of names to the last."""
+    """The channels of a segment: the line of names and all rows below it."""
     if place >= len(lines):
         raise FileFormatError(f"{where}: a header but no samples")
     names = [name.strip() for name in lines[place].split(mark)]
@@ -97,7 +97,7 @@ def _segment(
 
 
 def _number(values: Sequence[str] | None, k: int, otherwise: float, where: str) -> float:
-    """The k-th of the numbers of a key of the header."""
+    """The k-th number of a header entry; `otherwise` if it is missing, negative or not finite."""
     text = (values or [])[k : k + 1]
     if not text or not text[0]:
         return otherwise

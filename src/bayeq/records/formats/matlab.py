@@ -1,7 +1,7 @@
 """MATLAB's .mat files of versions 4 and 5 (also called v6 and v7), by SciPy; v7.3 is HDF5.
 
 Every variable is a tree of elements, each with a type and a length; see "MAT-File Format" (The MathWorks). These are
-checked before SciPy relies on them: a wrong type ends the process there (SciPy 1.17; `tests/fuzz/corpus/matlab`).
+checked before SciPy relies on them: a wrong type crashes the process (SciPy 1.17; `tests/fuzz/corpus/matlab`).
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def _check_version_4(path: Path) -> None:
 
 
 def _check_variables(path: Path) -> None:
-    """Walk over the variables: each ends in the file, has the types it should, and unpacks to what is allowed."""
+    """Check that each variable ends within the file, has valid types, and unpacks to an allowed size."""
     where, size = str(path), path.stat().st_size
     unpacked = 0
     with path.open("rb") as file:
@@ -88,7 +88,7 @@ def _check_variables(path: Path) -> None:
 
 
 class _Elements:
-    """The elements of a variable, passed over one after the other; a ValueError where one is not what it should be."""
+    """Passes over the elements of a variable one by one; raises a ValueError for an invalid one."""
 
     def __init__(self, content: bytes, order: str, place: int = 0) -> None:
         self.content, self.order, self.place = content, order, place
@@ -106,7 +106,7 @@ class _Elements:
         return (first & 0xFFFF, first >> 16, True) if first >> 16 else (first, length, False)
 
     def element(self, end: int, kinds: frozenset[int], what: str) -> tuple[int, int]:
-        """Pass over an element of one of some types; where its content begins, and its length."""
+        """Pass over an element that must have one of the types `kinds`; returns start and length of its content."""
         kind, length, in_tag = self.tag(end)
         if kind not in kinds:
             raise ValueError(f"{what} have the type {kind}")
@@ -121,13 +121,13 @@ class _Elements:
         return start, length
 
     def check_array(self, end: int, depth: int = 0) -> None:
-        """Pass over an array that ends at a place, in `depth` others, whose parts must have the types of its class."""
+        """Pass over an array up to `end`, nested in `depth` others; its parts must have the types of its class."""
         start, length = self.element(end, frozenset({6}), "flags")
         if length < 8:
             raise ValueError("flags are cut off")
         flags = self.number(start)
         kind, parts = flags & 0xFF, 2 if (flags >> 8) & COMPLEX else 1
-        if kind != OPAQUE:  # which is passed over by its length: no array
+        if kind != OPAQUE:  # opaque objects are no arrays: passed over by length
             start, length = self.element(end, frozenset({5, 6}), "dimensions")
             shape = [self.number(start + 4 * k) for k in range(min(length // 4, 32))]
             if not shape or min(shape) < 0:
@@ -184,7 +184,7 @@ def _tree(value: Any) -> Any:
 
 
 def _boxes(array: np.ndarray[Any, Any], convert: Any, single: bool = False) -> Any:
-    """The cells of an array by their index; the one struct of an array of one by itself."""
+    """The converted cells of an array, as a list or by index; a single struct without an index."""
     if single and array.size == 1:
         return convert(array.ravel()[0])
     if max(array.shape, default=0) == array.size:

@@ -15,11 +15,12 @@ from bayeq.records.columns import RATE_NAMES, STEP_NAMES, Columns, Headers, Name
 from bayeq.records.names import clean_name, is_time_name
 from bayeq.records.validate import SECONDS
 
-#: Rows of a matrix that are listed as channels, and arrays of a file; beyond these it is no record.
+#: Maximum number of rows of a matrix that are listed as channels, of arrays in a file, and of levels of nesting.
 MOST_ROWS = 1000
 MOST_ARRAYS = 100_000
 DEEPEST = 64
-#: Without names, arrays up to this share of the longest are no channels; of so few numbers they are settings.
+#: Without requested names, arrays longer than this share of a record must have its length. Shorter ones are left out,
+#: with a warning if they hold more numbers than this.
 SHORT, SETTINGS = 0.1, 16
 
 #: All rows.
@@ -30,10 +31,10 @@ EVERY = slice(None)
 class Channel:
     """An array of a file."""
 
-    path: str  # where it is
+    path: str  # place in the file
     size: int  # number of samples
     values: Callable[[slice], Any]  # the samples of a slice of the rows
-    label: str | None = None  # what it is called if not by its path; cleaned to a channel's name
+    label: str | None = None  # name, before cleaning; None for the path
     unit: str | None = None
     step: float | None = None  # time step [s] that the file states
     start: float = 0.0  # time of the first sample [s]
@@ -41,7 +42,7 @@ class Channel:
 
     @property
     def is_time(self) -> bool:
-        """Whether the last word of the path, or the label, says so."""
+        """Whether the last word of the path, or the label, is a name of time."""
         return is_time_name(_word(self.path)) or (self.label is not None and is_time_name(clean_name(self.label)[0]))
 
 
@@ -53,8 +54,8 @@ def _word(path: str) -> str:
 def channels_of(tree: Any, where: str) -> list[Channel]:
     """Every array of a tree of mappings (fields), lists (cells) and arrays, in order.
 
-    Beside an array, text called unit or units is its unit, text called name the name of a single one, and a number
-    called dt, Ts, fs ... the step of time. Too many arrays or levels are refused.
+    Entries next to an array describe it: text called unit or units is its unit, text called name its name (if it is the
+    only array), and a number called dt, Ts, fs ... gives the time step. Too many arrays or levels are refused.
     """
     found = list(islice(_walk(tree, "", {}, where, 0), MOST_ARRAYS + 1))
     if len(found) > MOST_ARRAYS:
@@ -80,7 +81,7 @@ def _walk(node: Any, path: str, about: Mapping[str, Any], where: str, depth: int
 
 
 def _about(node: Mapping[str, Any]) -> dict[str, Any]:
-    """Unit and step of time that the entries of a struct or a group state, and the name of the one array among them."""
+    """Unit and time step stated by entries of a struct or group, and the label of its array if it is the only one."""
     out: dict[str, Any] = {}
     arrays = [name for name, value in node.items() if math.prod(getattr(value, "shape", ())) > 1]
     alone = len(arrays) == 1 or sum(not is_time_name(name) for name in arrays) == 1
@@ -97,7 +98,7 @@ def _about(node: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def step_of(name: str, value: Any) -> float | None:
-    """The time step [s] that a number named so is; None if it is no positive number.
+    """The time step [s] from a step or a rate called `name`; None if it is not a positive number.
 
     >>> step_of("dt", 0.5), step_of("fs", [4]), step_of("fs", "fast")
     (0.5, 0.25, None)
@@ -109,7 +110,7 @@ def step_of(name: str, value: Any) -> float | None:
 
 
 def _rows(array: Any, path: str, about: Mapping[str, Any]) -> Iterator[Channel]:
-    """The channels of an array: itself, or the rows of a matrix; none of numbers by themselves and of boxes."""
+    """The channels of an array: itself, or the rows of a matrix; none for scalars and three or more dimensions."""
     shape = tuple(int(length) for length in array.shape)
     if array.dtype.kind not in "biufcmM":
         return
@@ -123,7 +124,7 @@ def _rows(array: Any, path: str, about: Mapping[str, Any]) -> Iterator[Channel]:
     elif len(shape) == 2 and 1 < min(shape) <= MOST_ROWS:
         across = shape[0] > shape[1]
         for k in range(min(shape)):
-            # a row is bound when it is yielded, not when it is read
+            # `k=k` binds the row now, not when the channel is read
             read = (lambda rows, k=k: array[rows, k]) if across else (lambda rows, k=k: array[k, rows])
             yield Channel(f"{path}.{k}", long, read, unit=unit, step=step)
 
@@ -131,10 +132,10 @@ def _rows(array: Any, path: str, about: Mapping[str, Any]) -> Iterator[Channel]:
 def read_pieces(
     channels: Sequence[Channel], where: str, request: Request, names: Names = None, rows: slice = EVERY
 ) -> list[tuple[Request, Columns]]:
-    """The columns of each record that is asked for, with the request for that one alone.
+    """The columns of each requested record, with the request for that record alone.
 
-    Without names in the request these are all channels of one length, which `names` are then names of, in order. Only
-    `rows` are read. FileFormatError without arrays, or for different lengths or rates; UnknownNameError for a channel.
+    A request without names reads all channels of one length; `names` then renames these, in order. Only `rows` are
+    read. FileFormatError without arrays, or for different lengths or rates; UnknownNameError for an unknown channel.
     """
     if not channels:
         raise FileFormatError(f"{where}: holds no array of numbers that could be a channel")
@@ -187,7 +188,7 @@ def _find(headers: Headers, key: str) -> int:
 
 
 def _asked(channels: Sequence[Channel], headers: Headers, request: Request) -> list[int]:
-    """The channels that are asked for by name, and the nearest array of their length that is called time."""
+    """Indices of the requested channels, and of the nearest array of their length that is time by name or unit."""
     rows = {_find(headers, name) for name in request.names or ()}
     first = min(rows, default=0)
     rows.update(_find(headers, name) for name in (request.time, request.group) if name is not None)
@@ -204,12 +205,12 @@ def _asked(channels: Sequence[Channel], headers: Headers, request: Request) -> l
 
 
 def _shared(path: str, other: str) -> int:
-    """How many letters two paths begin with in common."""
+    """Length of the common beginning of two paths."""
     return next((k for k, (a, b) in enumerate(zip(path, other, strict=False)) if a != b), min(len(path), len(other)))
 
 
 def _main(channels: Sequence[Channel], headers: Headers, request: Request) -> tuple[list[int], tuple[str, ...]]:
-    """The channels that are read without names, as long as time, or else as the longest of them; others in words."""
+    """Indices of the channels read without names, as long as time or else the longest; a warning about others."""
     pool = [i for i, channel in enumerate(channels) if channel.main]
     if not pool:
         paths = ", ".join(channel.path for channel in channels[:12])

@@ -62,7 +62,7 @@ class NpyRows(FileRows):
     """Rows of an array on disk, mapped into memory."""
 
     def _columns(self) -> tuple[list[str], list[AnyArray]]:
-        """Headers and columns, of which nothing is read yet."""
+        """Headers and memory-mapped columns."""
         with reading(str(self.path), ".npy file"):
             array = np.lib.format.open_memmap(self.path, mode="r")
         return columns_of(array, str(self.path))

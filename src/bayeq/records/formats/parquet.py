@@ -47,7 +47,7 @@ def headers_of(schema: Any, where: str) -> Headers:
 
 
 def values_of(pa: Any, column: Any) -> Any:
-    """The samples of a column; what is no number, by the name of its type, for the message."""
+    """The samples of a column; if they are no numbers, the name of their type, for the error message."""
     kind = column.type
     if pa.types.is_decimal(kind) or (column.null_count and not pa.types.is_temporal(kind)):
         if not (pa.types.is_decimal(kind) or pa.types.is_integer(kind) or pa.types.is_floating(kind)):
@@ -66,7 +66,7 @@ def write(record: Record, path: Path) -> None:
 
 
 class ParquetRows(FileRows):
-    """Rows of a Parquet file: the units are its row groups, small ones together; its metadata alone are kept."""
+    """Rows of a Parquet file: chunks are its row groups, small ones merged; only its metadata are kept."""
 
     @cached_property
     def groups(self) -> tuple[int, ...]:
@@ -78,7 +78,7 @@ class ParquetRows(FileRows):
 
     @cached_property
     def bounds(self) -> tuple[int, ...]:
-        """Units of whole row groups, of `UNIT_ROWS` rows or more."""
+        """Bounds of chunks of whole row groups, of `UNIT_ROWS` rows or more but for the last."""
         out = [0]
         for bound in self.groups[1:]:
             if bound - out[-1] >= UNIT_ROWS:
@@ -99,6 +99,6 @@ class ParquetRows(FileRows):
             place = {i: k for k, i in enumerate(columns)}
             data = Columns.build(headers, lambda i: values_of(pa, table.column(place[i])), lambda _: columns)
             first = self.groups[wanted[0]]
-            if stop - start < table.num_rows:  # copies, so that the rest is let go
+            if stop - start < table.num_rows:  # copies, so that the other rows are freed
                 data = replace(data, values=[values[start - first : stop - first].copy() for values in data.values])
             return data

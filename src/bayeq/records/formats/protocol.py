@@ -1,4 +1,4 @@
-"""What the module of a file format offers, and what a damaged or hostile file may cost."""
+"""Interfaces of the modules of file formats, and limits on what a damaged or hostile file may claim."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from bayeq.records.columns import Columns, Names, Request, Select
 from bayeq.records.formats.nested import Channel
 from bayeq.records.record import Record
 
-#: Rows that are read at a time, where the file does not divide them itself.
+#: Rows of a chunk, if the file does not divide them itself.
 UNIT_ROWS = 2**18
 
 
@@ -28,7 +28,7 @@ class Flat(Protocol):
     def read_columns(self, path: Path, *, names: Names = None, chosen: Select | None = None) -> Columns:
         """Read the columns of a table that are `chosen`; the others need not be numbers.
 
-        `names` are those of all columns, in order, instead of the file's; a string is split at commas and white space.
+        `names` replace those in the file, for all columns in order; a string is split at commas and white space.
         Raises a FileFormatError if the file is not what it should be, of text with the line and the column, and a
         MissingExtraError if the package that reads it is not installed.
         """
@@ -50,14 +50,14 @@ class Writer(Protocol):
 
 @dataclass(frozen=True)
 class FileRows:
-    """Rows of a file, some read at a time, also in other processes; of many arrays `request` says which."""
+    """A file that is read in chunks of rows, also in other processes; `request` selects from several arrays."""
 
     path: Path
     request: Request = field(default_factory=Request)
 
     @property
     def bounds(self) -> Sequence[int]:
-        """First rows of the units that are best read together, from 0, and the number of rows at the end."""
+        """First rows of the chunks that are best read together, from 0, and the number of rows at the end."""
         raise NotImplementedError
 
     def read(self, start: int, stop: int, request: Request) -> Columns:
@@ -66,7 +66,7 @@ class FileRows:
 
 
 def grid(rows: int, unit: int = UNIT_ROWS) -> tuple[int, ...]:
-    """Bounds of units of equal length.
+    """Bounds of chunks of `unit` rows; the last may be shorter.
 
     >>> grid(10, 4)
     (0, 4, 8, 10)
@@ -75,7 +75,7 @@ def grid(rows: int, unit: int = UNIT_ROWS) -> tuple[int, ...]:
 
 
 def parts_between(bounds: Sequence[int], start: int, stop: int) -> list[int]:
-    """The parts that hold rows `start` to `stop`.
+    """Indices of the chunks that hold rows `start` to `stop`.
 
     >>> parts_between((0, 4, 8, 10), 3, 8)
     [0, 1]
@@ -89,12 +89,12 @@ MOST_RATIO = 100
 SMALL_BYTES = 64 * 2**20
 #: and never to more than this.
 MOST_BYTES = 4 * 2**30
-#: Columns of a table, the width of an Excel sheet.
+#: Maximum number of columns of a table: the width of an Excel sheet.
 MOST_COLUMNS = 16_384
 
 
 def check_claim(where: str, what: str, claimed: int, stored: int) -> None:
-    """Refuse what takes more than 4 GiB, or more than 64 MiB and 100 times what the file holds; sizes are in bytes."""
+    """Raise a FileFormatError for more than 4 GiB, or more than 64 MiB and 100 times the file's size (in bytes)."""
     if claimed > MOST_BYTES:
         raise FileFormatError(f"{where}: {what} takes {in_words(claimed)}; at most {in_words(MOST_BYTES)} are read")
     if claimed > max(SMALL_BYTES, MOST_RATIO * stored):
@@ -105,7 +105,7 @@ def check_claim(where: str, what: str, claimed: int, stored: int) -> None:
 
 
 def check_array(where: str, what: str, shape: Sequence[int], itemsize: int, stored: int) -> None:
-    """Refuse an array whose shape claims far more than the file holds."""
+    """Raise a FileFormatError for an array whose shape claims far more than the file holds."""
     if any(length < 0 for length in shape):
         raise FileFormatError(f"{where}: {what} has the shape {tuple(shape)}; the file is damaged")
     # as float64, which every channel becomes
@@ -125,7 +125,7 @@ def in_words(size: int) -> str:
 
 
 def stored_units(text: str | bytes) -> dict[str, str]:
-    """Units by name that bayeq wrote into a file as JSON; none of other JSON."""
+    """Units by name that bayeq wrote into a file as JSON; empty for other JSON."""
     found = json.loads(text)
     return {str(k): str(v) for k, v in found.items()} if isinstance(found, dict) else {}
 
@@ -134,8 +134,8 @@ def stored_units(text: str | bytes) -> dict[str, str]:
 def reading(where: str, kind: str) -> Iterator[None]:
     """Turn whatever a library raises on a damaged file into a FileFormatError with the first line of its message.
 
-    Its warnings are dropped in the main thread. Filters of warnings belong to all threads: of several that change them
-    and put them back, one leaves behind what it found of another, and warnings of ours would be lost.
+    The library's warnings are suppressed in the main thread only: all threads share the warning filters, and two that
+    change and restore them at the same time may leave warnings of bayeq suppressed.
     """
     try:
         if threading.current_thread() is threading.main_thread():
@@ -148,8 +148,8 @@ def reading(where: str, kind: str) -> Iterator[None]:
         raise
     except MemoryError:
         raise FileFormatError(f"{where}: not a readable {kind} (it claims more than there is memory)") from None
-    except Exception as error:  # parsers of others raise anything on damaged bytes
-        if isinstance(error, OSError) and error.errno in FULL:  # a copy of what the file holds
+    except Exception as error:  # third-party parsers raise anything on damaged bytes
+        if isinstance(error, OSError) and error.errno in FULL:  # a full disk is no fault of the file
             raise
         lines = [line for line in str(error).splitlines() if line.strip()]
         text = "".join(c for c in lines[0] if c.isprintable())[:120] if lines else ""

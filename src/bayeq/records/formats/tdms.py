@@ -15,13 +15,13 @@ from bayeq.records.formats.protocol import check_array, reading
 
 
 def channels(path: Path) -> list[Channel]:
-    """List the channels of a file: path ``group.channel``, called by the channel's name where no other has it."""
+    """List the channels of a file: path ``group.channel``, named after the channel if its name is unique."""
     with needing("npTDMS", "files", "reading TDMS files"):
         from nptdms import TdmsFile
         from nptdms.log import log_manager
     where, size = str(path), path.stat().st_size
     found: list[Channel] = []
-    log_manager.set_level(logging.CRITICAL)  # what it finds is one line of ours
+    log_manager.set_level(logging.CRITICAL)  # faults are reported by an error of one line
     with reading(where, "TDMS file"), path.open("rb") as raw, TdmsFile.open(raw) as file:
         if file.file_status.incomplete_final_segment:
             raise FileFormatError(f"{where}: the last segment is incomplete; the file is cut off")

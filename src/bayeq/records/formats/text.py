@@ -1,8 +1,8 @@
 """Delimited text: CSV, TSV, semicolons, white space; by the standard library and NumPy only.
 
-NumPy's C reader takes clean files. Only what it refuses goes line by line: that path knows missing cells,
-quotes, trailing delimiters and decimal commas, and otherwise names the line and the column at fault. Of long files one
-pass finds where units of rows begin, which pyarrow then parses.
+NumPy's C reader reads clean files. Files that it refuses are read line by line: that path handles missing cells,
+quotes, trailing delimiters and decimal commas, and otherwise names the line and the column at fault. For long files one
+pass finds where chunks of rows begin, which pyarrow then parses.
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ from bayeq.records.record import Record
 _FORTRAN = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+))[dD]([+-]?\d+)")
 _ROWS_AT_ONCE = 20_000
 
-# A foot, a summary or a row that was cut, stands below at least this many rows, and has at most this many lines.
+# A footer (a summary, or a row that was cut off) is left out below at least this many rows, and up to this many lines.
 _ROWS_ABOVE, _FOOT = 20, 16
 
-# Text that stands for a missing sample, in the cases that pyarrow would not know.
+# Texts for a missing sample, in upper and lower case, which pyarrow distinguishes.
 ABSENT = sorted({text for word in MISSING for text in (word, word.upper(), word.capitalize())} | {"NaN"})
 
 
@@ -61,15 +61,15 @@ def read_columns(
     """Read the columns of a text file, which messages call `where`, below `skip` lines.
 
     Comment lines begin with ``#`` or ``%``; the one directly before the data names the columns if there is
-    no other header and the number of its words fits. Empty cells, NA and nan become NaN. Of a file with a fault the
-    rows above it are read where they are `enough`.
+    no other header and the number of its words fits. Empty cells, NA and nan become NaN. If a line cannot be read, the
+    rows above it are returned if there are at least `enough`, or if only a footer follows.
     """
     where = where or str(path)
     return decoded(path, where, lambda encoding: _read(path, where, encoding, names, chosen, skip, enough))
 
 
 def _named(layout: Layout, where: str) -> tuple[Headers, Sequence[Sequence[str]]]:
-    """Names of the columns by the header, or else by the comment above the data, and the readings of that comment."""
+    """Headers from the header line or else the comment above the data, and possible readings of that comment."""
     readings = comment_header(layout)
     texts = layout.header or (readings[0] if readings and len(readings[0]) == layout.width else None)
     return Headers.parse(texts or [""] * layout.width, where), readings
@@ -91,7 +91,7 @@ def _read(
     except UnicodeError:
         raise
     except ValueError:
-        # The names say which columns may be passed over, unless it takes the data to know the names.
+        # Columns that are not requested may hold anything; which these are is unknown if names depend on the data.
         skipped: set[int] = set()
         if chosen is not None and (given is not None or not unnamed or not readings):
             named = headers if given is None else headers.renamed([*given, *[""] * (layout.width - len(given))])
@@ -114,26 +114,26 @@ def _read(
 
 
 def _is_trial_and_time(data: Floats) -> bool:
-    """Whether the leading two columns count trials and, within each, increase as time does."""
+    """Whether the first column numbers the trials and the second, within each trial, increases like time."""
     trial, time = data[:, 0], data[:, 1]
     same = trial[1:] == trial[:-1]
     return bool(np.all(trial == np.round(trial)) and np.all(np.diff(time)[same] > 0))
 
 
 class _Lines:
-    """The thorough reader: every cell is looked at, the first fault is reported."""
+    """The line-by-line reader: parses every cell and reports the first fault."""
 
     def __init__(self, path: Path, layout: Layout, headers: Headers, skipped: Collection[int]) -> None:
         self.path, self.layout, self.headers, self.skipped = path, layout, headers, skipped
         self.where = headers.where
         self.trailing = True  # whether the last cell of every row is empty
         self.start = 0  # line of the first row
-        self.doubts: tuple[str, ...] = ()  # what to warn of
+        self.doubts: tuple[str, ...] = ()  # warnings to issue
         self.first: dict[int, Stamp] = {}  # the first time stamp of each column that has them
         self.day_first = {column: self._day_first(column) for column in layout.stamps if column not in skipped}
 
     def read(self, enough: float = math.inf) -> Floats:
-        """The rows: all of them, or those above the first fault, if they are `enough` or only a foot follows."""
+        """All rows; those above the first fault if there are `enough`, or if only a footer follows."""
         layout = self.layout
         values = array("d")
         rows = last = 0
@@ -154,7 +154,7 @@ class _Lines:
                 if any(map(str.strip, cells)):
                     last = rows
         data = np.frombuffer(values, dtype=np.float64).reshape(-1, layout.width)
-        # Rows of empty cells at the end are what spreadsheets leave behind; within the data they are gaps.
+        # Rows of empty cells at the end, which spreadsheets write, are dropped; within the data they are gaps.
         return data[:last] if last else data
 
     def _row(self, line: str, number: int) -> tuple[list[str], list[float]]:
@@ -189,7 +189,7 @@ class _Lines:
         return True
 
     def _day_first(self, column: int) -> bool:
-        """Whether dates such as 03/04/2024 begin with the day: they then rise, over a shorter time than otherwise."""
+        """Whether dates such as 03/04/2024 begin with the day: they then rise, over a shorter span than month first."""
         days: dict[str, None] = {}
         with self.path.open(encoding=self.layout.encoding) as file:
             for line in islice(file, self.layout.skip, None):
@@ -281,7 +281,7 @@ def write(record: Record, path: Path) -> None:
 
 
 class TextRows(FileRows):
-    """Rows of a text file of plain numbers; times as dates are not read so."""
+    """Rows of a text file of plain numbers; dates and times of day are refused."""
 
     @cached_property
     def layout(self) -> Layout:
@@ -303,7 +303,7 @@ class TextRows(FileRows):
 
     @cached_property
     def index(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """First rows of units, and the number of rows that are not empty; the bytes at which they begin and end."""
+        """Bounds of the chunks of rows, without empty lines, and the byte offset of each bound."""
         bounds, places, row = [0], [], 0
         with self.path.open("rb") as file:
             for _ in range(self.layout.skip):

@@ -26,7 +26,7 @@ def is_uff(path: Path, head: bytes) -> bool:
 
 
 def channels(path: Path) -> list[Channel]:
-    """List the time histories of a file: path ``[0]``, ``[1]`` ..., called by kind, node and axis, as ``acc_5_z``."""
+    """List the time histories of a file: path ``[0]``, ``[1]`` ..., named by kind, node and axis, as ``acc_5_z``."""
     with needing("pyuff", "files", "reading universal files"):
         import pyuff
     where = str(path)

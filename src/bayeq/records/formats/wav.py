@@ -53,7 +53,7 @@ def _chunks(file: IO[bytes], where: str) -> tuple[int, int, int, int, bytes]:
             if form is None:
                 raise FileFormatError(f"{where}: samples before their format; the file is damaged")
             raw = file.read()
-            if size in (0, 0xFFFFFFFF):  # of a recorder that did not know how many would follow
+            if size in (0, 0xFFFFFFFF):  # length unknown to the recorder
                 return (*form, raw)
             if len(raw) < size:
                 raise FileFormatError(
@@ -71,7 +71,7 @@ def _samples(raw: bytes, kind: int, bits: int, where: str) -> np.ndarray[Any, np
     if kind == PCM and bits == 8:
         return (np.frombuffer(raw, np.uint8).astype(np.float64) - 128.0) / 128.0
     if kind == PCM and bits == 24:
-        padded = np.zeros((len(raw) // 3, 4), dtype=np.uint8)  # the lowest byte stays zero: the sign comes with it
+        padded = np.zeros((len(raw) // 3, 4), dtype=np.uint8)  # the lowest byte stays zero, to keep the sign
         padded[:, 1:] = np.frombuffer(raw, np.uint8).reshape(-1, 3)
         return padded.view("<i4").ravel() / 2.0**31
     if kind == PCM and bits in (16, 32):

@@ -18,10 +18,10 @@ from bayeq.states.kinematic.smoother import ChainSeries, KinematicModel, smooth_
 from bayeq.states.roles import Chain
 from bayeq.states.sensors import LEAST_SHARE, Sensors, bridged, unit_gains
 
-# A smoother's filter reaches over this many times as many samples as the inverse of its band's width.
+# Records are padded by this many times fs / f samples at both ends, f the upper end of the smoother's band.
 REACH = 4.0
 
-# Densities are averaged over this many bins on either side, at most this share of them.
+# Spectral densities are averaged over LOW_SMOOTHING bins on either side, at most a share SHARE_OF_BINS of all bins.
 LOW_SMOOTHING = 8
 SHARE_OF_BINS = 1 / 16
 
@@ -36,17 +36,17 @@ class ChainSmoothing:
     model: KinematicModel  # noise levels and roughness, shared by all records
     fs: float | None  # sampling rate [Hz], if all records are sampled uniformly at one rate
     unit_gains: Floats  # (K+1,), from `bayeq.states.sensors`
-    # where the coordinate is not measured: the sd with which each of its samples is taken to be zero, to be bounded
+    # sd of the samples of zero that bound a coordinate that is not measured; None if it is measured
     coordinate_sd: float | None = None
     target_variance: float = 0.0  # of the highest derivative given the samples, in its unit: the median over rows
-    freedom: float = 1.0  # independent numbers in a smoothed row: posterior over noise variance of the lowest measured
+    freedom: float = 1.0  # degrees of freedom per row: posterior over noise variance of the lowest measured derivative
 
     def gain(self, frequency: Floats) -> Floats:
         """Gain of the smoother at frequencies [Hz], the same for all derivatives: signal over signal and noise.
 
         The Wiener gain J/(J + 1/S + 1/b^2) of uniform sampling, where S = Q/(dt omega^(2m)) is the density of the
-        coordinate under the model, J = sum of omega^(2k)/R_k the information of the channels on it and b what bounds
-        it.
+        coordinate under the model, J = sum of omega^(2k)/R_k the information of the channels on it and b the
+        `coordinate_sd`.
         """
         fs = 1.0 if self.fs is None else self.fs
         omega = np.maximum(2.0 * np.pi * np.asarray(frequency), 1e-6 * fs)
@@ -59,7 +59,7 @@ class ChainSmoothing:
         return np.asarray(density * information / (1.0 + density * (information + bound)))
 
     def follow(self, values: Floats) -> Floats:
-        """Columns (n, k) as the smoother would show them, reflected at the ends; as they are if sampled unevenly."""
+        """Columns (n, k) filtered by the smoother's gain, reflected at the ends; unchanged if sampled unevenly."""
         n = len(values)
         if self.fs is None or n < 3 or not values.shape[1]:
             return values
@@ -67,14 +67,14 @@ class ChainSmoothing:
         padded = np.pad(values, ((reach, reach), (0, 0)), mode="reflect", reflect_type="odd")
         size = len(padded)
         gain = self.gain(np.asarray(np.fft.rfftfreq(size, 1.0 / self.fs), dtype=np.float64))
-        # what does not change passes, though it is no motion where the coordinate was integrated
+        # the mean passes, also where the coordinate was integrated
         gain[0] = 1.0
         filtered = np.fft.irfft(gain[:, None] * np.fft.rfft(padded, axis=0), size, axis=0)
         return np.asarray(filtered[reach : reach + n])
 
     def inner(self, n: int) -> slice:
-        """Of n rows those beyond the smoother's memory, at most a tenth of them, from either end: there it knows
-        least."""
+        """The rows, of n, without those within the smoother's memory of either end, where it is least certain; at most
+        a tenth of the rows is left out at each end."""
         memory = 0 if self.fs is None else int(np.ceil(self.fs / max(self.band[1], self.fs / max(n, 1))))
         reach = min(memory, n // 10)
         return slice(reach, n - reach)
@@ -158,7 +158,7 @@ def smooth_chain(
 
 
 def smooth_further(record: Record, chain: Chain, smoothing: ChainSmoothing) -> Floats:
-    """States of a chain in a record as others of the same system were smoothed, (n, K + 1)."""
+    """States of a chain in a further record, smoothed like other records of the same system, (n, K + 1)."""
     series = series_of(record, chain.measured)
     if smoothing.coordinate_sd is not None:
         series = _bounded(series)
@@ -169,7 +169,7 @@ def smooth_further(record: Record, chain: Chain, smoothing: ChainSmoothing) -> F
 def _known_noise(
     series: Sequence[ChainSeries], chain: Chain, gains: Floats, noise: Mapping[str, float]
 ) -> list[float | None]:
-    """Of each derivative in the units of the model; None where it is not known."""
+    """Standard deviation of each derivative's noise in units of the model; None where it is not known."""
     out: list[float | None] = []
     for k, name in enumerate(chain.measured):
         if name is None or name not in noise:
@@ -181,16 +181,17 @@ def _known_noise(
 
 
 def _bounded(series: ChainSeries) -> ChainSeries:
-    """With a channel of zeros for the coordinate."""
+    """The series with a channel of zeros for the coordinate."""
     return ChainSeries(series.times, (np.zeros(series.n), *series.channels[1:]))
 
 
 def _coordinate_sd(series: Sequence[ChainSeries], lowest: int, model: KinematicModel) -> float:
-    """How near to zero the samples of an unmeasured coordinate are taken to be.
+    """Standard deviation of the samples of zero that bound a coordinate that is not measured.
 
-    Below the frequency f_low at which a channel's signal comes out of its noise nothing is known of the coordinate but
-    that it does not run away: zeros of the standard deviation sigma/omega_low^lowest weigh there as much as the channel
-    does at f_low. A RecordError refuses uneven steps, records at different rates, and a signal that never comes out.
+    Below the frequency f_low at which the signal of the lowest measured channel emerges from its noise, nothing is
+    known of the coordinate but that it is bounded: zeros of standard deviation sigma/omega_low^lowest weigh there as
+    much as the channel does at f_low. A RecordError refuses uneven steps, records at different rates, and a signal that
+    never emerges.
     """
     from scipy.special import chdtri  # which takes a while to import
 
@@ -209,9 +210,9 @@ def _coordinate_sd(series: Sequence[ChainSeries], lowest: int, model: KinematicM
     if not (level[1:] > emerged * noise**2).any():
         raise RecordError("it does not stand out of its noise at any frequency; measure with less noise")
     peak = 1 + int(np.argmax(level[1:]))
-    # the noise at the low end, if there is more of it than the smoother found, and else that
+    # first with the noise at the low end, if it is above the smoother's, then with the smoother's
     for least in (max(noise**2, float(level[: peak + 1].min())), noise**2):
-        # down from the peak: what stands out far below it is chance, or drift
+        # down from the peak: signal that emerges again further below is chance, or drift
         below = np.flatnonzero(level[1 : peak + 1] <= emerged * least)
         first = int(below[-1]) + 2 if len(below) else 1
         if first <= peak:

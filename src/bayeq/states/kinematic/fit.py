@@ -19,27 +19,28 @@ from bayeq.states.kinematic.smoother import ChainSeries, KinematicModel, Rows, S
 # Fewer samples than this say nothing about the noise of a channel.
 LEAST_SAMPLES = 10
 
-# The order that the search starts from, over that of the highest derivative.
+# The order that the search starts from, less that of the highest derivative.
 FIRST_EXTRA = 3
 
 # Noise variances as shares of the channel's variance: least and most.
 LEAST_VARIANCE, MOST_VARIANCE = 1e-12, 10.0
 
-# Bandwidths of the prior [rad per step]: where the search starts, its ratio, and the bounds.
+# Bandwidths of the prior [rad per step]: the widest in the grid of starts, the grid's ratio, and the bounds.
 WIDEST, RATIO = 3.0, 3.0
 BANDWIDTHS = (1e-8, 1e4)
 
-# Bands of a channel's spectrum, the lowest of which gives the level that its noise is started from.
+# Bands of a channel's spectrum (of about BINS bins or more); the noise starts at the level of the lowest band.
 BANDS, BINS = 16, 8
-# The share of its variance where there are too few samples for a spectrum.
+# Share of a channel's variance that its noise starts at where there are too few samples for a spectrum.
 FALLBACK = 0.01
 
-# More rows than MANY are not used; USED of them in this many STRETCHES are. Rows that gains cannot settle on are
-# slower: the fewer are used where there are more than one in SPARSE of them.
+# Of more than MANY rows USED are used, in STRETCHES or more. On irregular rows gains do not settle, which is slower:
+# where there are more than one in SPARSE of them, these numbers of rows are divided by SLOWER.
 MANY, USED, STRETCHES = 50_000, 40_000, 8
 SLOWER, SPARSE = 5, 300
 
-# Gradient of the log-likelihood per sample: where the search stops, and where it should have.
+# Gradient of the log-likelihood per sample: the search stops below the first; a warning says so if it ends above the
+# second.
 STATIONARY, DOUBTFUL = 1e-6, 1e-3
 
 
@@ -52,9 +53,9 @@ def fit_kinematic(
 ) -> KinematicModel:
     """Noise levels and spectral density of maximum likelihood, shared by some records of one chain.
 
-    The search starts at the floors of the channels' spectra and ends in the maximum next to them. The likelihood
-    does not choose the order: low frequencies, where any of the priors is far too wide and the smoother does not
-    care, outweigh the pass band in it. The leave-one-out density of the samples does, which is about smoothing.
+    The search starts at the floors of the channels' spectra and ends in the maximum next to them. The likelihood does
+    not choose the order: it is dominated by low frequencies, where every prior is far too wide and smoothing hardly
+    depends on it. The order is chosen by the leave-one-out density of the samples, which measures smoothing.
 
     Records are cut at gaps of more than 20 median steps. Where they have more than 50,000 rows together, 8 or more
     stretches spread over them are used instead, 40,000 rows in all (8,000 of more than 10,000 where steps are
@@ -127,7 +128,7 @@ def _require_noisy(series: Sequence[ChainSeries], k: int) -> None:
 
 
 def _pieces(series: ChainSeries) -> list[ChainSeries]:
-    """The record without rows that have no sample, cut at long gaps, on whose way what is known loses all digits."""
+    """The record without rows that have no sample, cut at long gaps, across which the state loses all digits."""
     columns = [channel for channel in series.channels if channel is not None]
     filled = np.flatnonzero(np.any(np.isfinite(columns), axis=0))
     if len(filled) < 2:
@@ -139,7 +140,7 @@ def _pieces(series: ChainSeries) -> list[ChainSeries]:
 
 
 def _stretches(rows: Sequence[Rows]) -> Sequence[Rows]:
-    """Where there are too many rows, stretches spread over them."""
+    """The rows, or where there are too many of them, stretches spread over them."""
     total = sum(len(r.steps) for r in rows)
     slower = SLOWER if SPARSE * sum(np.count_nonzero(~r.regular[1:]) for r in rows) > total else 1
     if total * slower <= MANY:
@@ -169,7 +170,7 @@ def _floors(rows: Sequence[Rows], sizes: Sizes) -> Floats:
 
 
 def lowest_level(times: Floats, samples: Floats) -> float:
-    """Least level of the periodogram in any of its bands: the variance of white noise that hides nowhere."""
+    """Least level of the periodogram in any of its bands: white noise in the samples has at most this variance."""
     samples = np.interp(np.linspace(times[0], times[-1], len(times)), times, samples)
     window = np.hanning(len(samples))
     spectrum = np.abs(np.fft.rfft((samples - samples.mean()) * window)) ** 2 / (window @ window)
@@ -178,7 +179,7 @@ def lowest_level(times: Floats, samples: Floats) -> float:
 
 
 class _Likelihood:
-    """Log-likelihood of some records in the logarithms of what is to be estimated.
+    """Log-likelihood of records as a function of the logarithms of the parameters.
 
     The parameters are ln(R_k / variance of channel k) of each channel with unknown noise, then ln(Q / unit): Q = square
     of the highest channel's size times (bandwidth per step)^power.
@@ -200,7 +201,7 @@ class _Likelihood:
 
     @property
     def bounds(self) -> Floats:
-        """Least and most, (2, F)."""
+        """Lower and upper bounds of the parameters, (2, F)."""
         noise = np.tile(np.log([[LEAST_VARIANCE], [MOST_VARIANCE]]), len(self.free))
         return np.column_stack([noise, self.power * np.log(BANDWIDTHS)])
 
@@ -236,7 +237,7 @@ class _Likelihood:
         return best
 
     def maximise(self, floors: Floats, doubts: bool) -> KinematicModel:
-        """The model at the maximum next to the floors."""
+        """The model at the maximum next to the floors of the spectra."""
 
         def loss(at: Floats) -> tuple[float, Floats]:
             value, gradient, _ = self.scored(at)

@@ -5,10 +5,10 @@ transition is F_ij = 1/(j-i)!. Channels with independent noises are taken one at
 vector and a missing sample is a gain of zero.
 
 Covariances do not depend on the samples. `filter_gains` therefore first fills a table of gains, one entry per row until
-they have settled on a run of regular rows, and one entry for all rows beyond; `filter_means`, `score` and `rts.smooth`
-read it. Covariances are kept as square roots P = S S' throughout (orthogonal triangularisation
-for the steps, Potter's update for the samples): nothing is subtracted, so that a diffuse start and channels
-without noise keep their digits.
+they reach a steady state on a run of regular rows, and one entry for all rows beyond; `filter_means`, `score` and
+`smooth` read it. Covariances are kept as square roots P = S S' throughout (orthogonal triangularisation for the steps,
+Potter's update for the samples): nothing is subtracted, so that a diffuse start and channels without noise keep their
+digits.
 
 Sources: Kailath, Sayed and Hassibi, *Linear Estimation* (2000), ch. 12 (array algorithms); Potter's update in
 Bierman, *Factorization Methods* (1977); Koopman and Shephard, Biometrika 79 (1992) (score); de Jong, Biometrika 75
@@ -26,23 +26,23 @@ from bayeq.kernels import kernel
 
 # A covariance has settled when a step changes its square root by less, relative to the standard deviations.
 SETTLED = 1e-12
-# A state that is this many noise levels wide after a gap longer than this [regular steps] holds no digit of what was
-# known before: it starts again.
+# The state starts again after a gap of more than LONG_GAP regular steps if its standard deviation has grown beyond WIDE
+# noise levels: no digit of it is left.
 WIDE, LONG_GAP = 1e8, 20.0
-# The same as SETTLED for the information that the score carries backwards: a sum over rows needs no more.
+# Like SETTLED, for the information matrix that the score carries backwards: a sum over rows needs no more digits.
 SETTLED_SCORE = 1e-8
 
 
 class Tables(NamedTuple):
-    """What the filter leaves of n rows of c channels and m states; filled by `filter_gains` and `filter_means`."""
+    """Results of the filter for n rows, c channels and m states; filled by `filter_gains` and `filter_means`."""
 
     entry: Ints  # (n,), entry of each row in `gains`, `inverse` and `roots`
-    anew: Bools  # (n,), whether the state starts again, as after a gap so long that nothing is left to be known
+    anew: Bools  # (n,), whether the state starts from its prior: at the first row, and after a very long gap
     gains: Floats  # (n, c, m), for each entry the gain of each channel, 0 where missing
-    inverse: Floats  # (n, c), one over its innovation's variance, 0 where missing
-    roots: Floats  # (n or 0, m, m), for each entry a root of the filtered covariance; only where there is room
-    innovations: Floats  # (n, c), what each sample adds to the prediction
-    means: Floats  # (n or 0, m), filtered means; only where there is room
+    inverse: Floats  # (n, c), for each entry the inverse variance of each channel's innovation, 0 where missing
+    roots: Floats  # (n or 0, m, m), for each entry a root of the filtered covariance; not filled if its length is 0
+    innovations: Floats  # (n, c), each sample less its prediction
+    means: Floats  # (n or 0, m), filtered means; not filled if its length is 0
 
 
 @kernel
@@ -193,13 +193,14 @@ def filter_gains(
 ) -> tuple[int, int, float]:
     """Gains of the filter of a record; the state is zero before the first row.
 
-    `steps`, (n,), are those before each row in regular steps, exactly 1 where regular. There is a sample of channel j,
-    derivative orders[j] with noise of variances[j], where `present`, (n, c); `regular_rows`, (n,), have all of them
-    after a regular step. `noise` is the lower root of Qd over a regular step, `start` has standard deviations of the
-    first state on the diagonal. `tables`, with zeros in gains and inverse, are filled, but for innovations and means.
+    `steps`, (n,), are the time steps before each row in regular steps, exactly 1 where regular. There is a sample of
+    channel j, derivative orders[j] with noise of variances[j], where `present`, (n, c); `regular_rows`, (n,), have all
+    samples after a regular step. `noise` is the lower root of Qd over a regular step, `start` has standard deviations
+    of the first state on the diagonal. `tables`, with zeros in gains and inverse, are filled, except innovations and
+    means.
 
-    Returns how many entries were filled; that of the settled rows, -1 if none have settled; and the sum of the
-    logarithms of the innovations' variances.
+    Returns the number of entries filled; the entry of rows in the steady state, -1 if there are none; and the sum of
+    the logarithms of the innovations' variances.
     """
     n, c = present.shape
     m = len(start)
@@ -254,7 +255,7 @@ def filter_gains(
 
 @kernel
 def filter_means(samples: Floats, steps: Floats, orders: Ints, tables: Tables) -> float:
-    """Innovations and means, from gains; the sum of squared standardised innovations. Missing samples are finite."""
+    """Fill innovations and means; returns the sum of squared standardised innovations. Missing samples: any number."""
     n, c = samples.shape
     index, anew, gains, inverse, means = tables.entry, tables.anew, tables.gains, tables.inverse, tables.means
     m = gains.shape[2]
@@ -285,7 +286,7 @@ def filter_means(samples: Floats, steps: Floats, orders: Ints, tables: Tables) -
 
 @kernel
 def _information(N: Floats, k: int, gain: Floats, inverse: float, w: Floats) -> float:
-    """N <- (I - g e_k')' N (I - g e_k') + e_k e_k'/variance; returns 1/variance + g' N g of before."""
+    """N <- (I - g e_k')' N (I - g e_k') + e_k e_k'/variance; returns 1/variance + g' N g of the former N."""
     m = len(gain)
     square = 0.0
     for i in range(m):
@@ -305,7 +306,7 @@ def _information(N: Floats, k: int, gain: Floats, inverse: float, w: Floats) -> 
 
 @kernel
 def _step_back(N: Floats, f: Floats, scales: Floats, Qd: Floats) -> float:
-    """N <- F' N F over a step, kept symmetric, which it needs to stay stable; returns tr N Qd of before."""
+    """N <- F' N F over a step, kept symmetric for stability; returns tr N Qd of the former N."""
     m = len(f)
     trace = 0.0
     for i in range(m):
@@ -433,7 +434,7 @@ def _backward_gain(S: Floats, f: Floats, h: float, noise: Floats, M: Floats, J: 
 def smooth(steps: Floats, tables: Tables, steady: int, noise: Floats, covariances: Floats, rows: Ints) -> int:
     """Rauch-Tung-Striebel smoother: the filtered means in `tables` become smoothed ones.
 
-    Returns how many `covariances` were filled, one per row until they have settled; `rows` say which is of each row.
+    Returns the number of `covariances` filled, one per row until they settle; `rows` receives each row's index in them.
     """
     index, anew, roots, means = tables.entry, tables.anew, tables.roots, tables.means
     n, m = means.shape

@@ -19,10 +19,10 @@ from bayeq.errors import InputError
 from bayeq.records.validate import is_step
 from bayeq.states.kinematic.kalman import Tables, filter_gains, filter_means, score, smooth
 
-# Standard deviations of the first state, in the size of the measured derivatives: it is unknown.
+# Standard deviations of the first state, which is unknown, over the sizes of the derivatives.
 DIFFUSE = 1e3
 
-# Samples in a stretch that is short beside a drift.
+# Samples in a stretch, so short that a drift adds little to its variance.
 STRETCH = 128
 
 # Samples beyond have no square in floating point.
@@ -83,19 +83,19 @@ class ChainSeries:
 
     @property
     def samples(self) -> Floats:
-        """(n, K+1), NaN where nothing is measured."""
+        """Samples of all derivatives, (n, K+1), NaN where not measured or missing."""
         return np.column_stack([np.full(self.n, np.nan) if c is None else c for c in self.channels])
 
     def take(self, rows: slice | NDArray[np.intp]) -> ChainSeries:
         return ChainSeries(self.times[rows], tuple(None if c is None else c[rows] for c in self.channels))
 
     def over(self, gains: Floats | Sequence[float]) -> ChainSeries:
-        """Each channel over its gain: in units that belong together."""
+        """The series with each channel divided by its gain, in consistent units."""
         channels = (None if c is None else c / gain for c, gain in zip(self.channels, gains, strict=True))
         return ChainSeries(self.times, tuple(channels))
 
     def without(self, mask: Bools) -> ChainSeries:
-        """Without samples of a mask, (n, K+1)."""
+        """The series with NaN in place of the samples in a mask, (n, K+1)."""
         channels = (None if c is None else np.where(mask[:, k], np.nan, c) for k, c in enumerate(self.channels))
         return ChainSeries(self.times, tuple(channels))
 
@@ -108,21 +108,21 @@ class KinematicModel:
     # Q of the driving noise: the variance of q^(m-1) grows by Q t in a time t [unit of q squared per s^(2m-1)]
     spectral_density: float
     noise_sd: tuple[float | None, ...]  # of each derivative in its own unit, None where not measured
-    # of the state at the first row, about zero (that of q about its channel's mean, where it has one); by default 1e3
-    # times the size of each derivative in the data, which is as good as unknown
+    # prior sd of the state at the first row, about zero (of q about its channel's mean, where it has one); by default
+    # 1e3 times the size of each derivative in the data, so that it is practically unknown
     initial_sd: tuple[float, ...] | None = None
     log_likelihood: float | None = None  # of the samples that the model was fitted to
-    left_out: float = -math.inf  # sum over these of the log density that all others predict; -inf if it was not fitted
+    left_out: float = -math.inf  # sum over these of each sample's log density given all others; -inf if not fitted
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sizes:
     """How large the derivatives of a chain are in some records."""
 
-    # (K+1,), of each channel about its mean in stretches of 128 samples, which drifts do not add to; NaN: not measured
+    # (K+1,), of each channel about its mean in stretches of 128 samples, without drift; NaN: not measured
     variance: Floats
     size: Floats  # (K+1,), root mean square of each channel, that of q about its mean
-    step: float  # the median one [s]
+    step: float  # median time step [s]
     duration: float  # of the longest record [s]
 
     @property
@@ -146,7 +146,7 @@ class Sizes:
 
 
 def sizes_of(series: Sequence[ChainSeries], least: Sequence[float | None] | None = None) -> Sizes:
-    """Sizes of the derivatives in some records, each at least the one of `least`; an InputError without samples."""
+    """Sizes of the derivatives in some records, each size at least its `least`; an InputError without samples."""
     derivatives = len(series[0].channels)
     variance, size = np.full(derivatives, np.nan), np.full(derivatives, np.nan)
     for k in range(derivatives):
@@ -176,7 +176,7 @@ def _local_variance(samples: Floats) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Filtered:
-    """What the forward passes over a record leave."""
+    """Results of the filter's forward passes over a record."""
 
     noise: Floats  # lower root of Qd over a regular step
     steady: int
@@ -190,9 +190,9 @@ class Rows:
 
     samples: Floats  # (n, c), 0 where missing
     present: Bools  # (n, c)
-    steps: Floats  # (n,) in `step`, 1 where regular
-    regular: Bools  # (n,), after a regular step and with all samples
-    measured: Ints  # (c,)
+    steps: Floats  # (n,), time step before each row in units of `step`, 1 where regular
+    regular: Bools  # (n,), whether a row follows a regular step and has all samples
+    measured: Ints  # (c,), measured derivatives
     lowest: int
     step: float
     scale: float
@@ -207,12 +207,12 @@ class Rows:
         return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
     def units(self, derivatives: ArrayLike) -> Floats:
-        """Units of some derivatives."""
+        """The record's own units of some derivatives, in units of the data."""
         return self.scale / self.step ** np.asarray(derivatives, dtype=np.float64)
 
     @property
     def log_jacobian(self) -> float:
-        """What takes a log density of the samples in own units to the data's."""
+        """Log density of the samples in units of the data, less that in the record's own units."""
         return -float(self.present.sum(axis=0) @ np.log(self.units(self.measured)))
 
     def filter(self, order: int, density: float, noise_sd: Floats, initial_sd: Floats, keep: bool = False) -> Filtered:
@@ -281,8 +281,8 @@ class SmoothedStates:
     """States of a record given all of its samples."""
 
     mean: Floats  # (n, m): q, q', ..., q^(m-1) in their own units
-    covariances: Floats  # (u, m, m), those that occur: of uniform sampling away from ends and gaps they are one
-    entry: Ints  # (n,), which of them belongs to each row
+    covariances: Floats  # (u, m, m), distinct ones: with uniform sampling one for all rows away from ends and gaps
+    entry: Ints  # (n,), index in `covariances` of each row's
 
     @property
     def sd(self) -> Floats:
@@ -294,9 +294,9 @@ def smooth_kinematic(series: ChainSeries, model: KinematicModel) -> SmoothedStat
     """States of a record given its samples: the kinematic smoother.
 
     A derivative below all that are measured (the displacement, where only the acceleration is) is known up to a
-    polynomial of the record's time, and its standard deviation says so. After a gap of more than 20 median steps in
-    which the lowest measured derivative spreads beyond 1e8 noise levels and beyond `KinematicModel.initial_sd`, the
-    state starts again from the latter: rounding would have left nothing of what was known.
+    polynomial of the record's time, and its standard deviation is accordingly large. After a gap of more than 20 median
+    steps in which the standard deviation of the lowest measured derivative grows beyond 1e8 noise levels and beyond
+    `KinematicModel.initial_sd`, the state starts again from the latter: rounding would leave no digit of it.
 
     Examples
     --------
@@ -321,9 +321,9 @@ def smooth_kinematic(series: ChainSeries, model: KinematicModel) -> SmoothedStat
 
 
 def leave_one_out(series: ChainSeries, model: KinematicModel) -> Floats:
-    """Each sample against what all others of the record predict, the same channel's and those of its derivatives.
+    """Errors of each sample's prediction from all other samples of the record, in all channels of the chain.
 
-    (n, K+1, 2): sample less prediction, and the standard deviation that this has under the model; NaN without a sample.
+    (n, K+1, 2): sample less prediction, and the standard deviation of this under the model; NaN without a sample.
     """
     rows, given = filtered(series, model)
     errors, gradient = np.full((*rows.samples.shape, 2), np.nan), np.zeros(len(rows.measured) + 1)
@@ -349,7 +349,7 @@ def _filtered_means(series: ChainSeries, model: KinematicModel) -> Floats:
 
 
 def filtered(series: ChainSeries, model: KinematicModel, states: bool = False) -> tuple[Rows, Filtered]:
-    """A record as the kernels see it, and what the filter leaves of it: also of the states, where they are wanted."""
+    """A record in its own units, and the results of the filter; with `states` also roots and means of all states."""
     noise_sd = np.array([np.nan if sd is None else sd for sd in model.noise_sd], dtype=np.float64)
     initial = np.array(model.initial_sd or sizes_of([series], least=model.noise_sd).initial_sd(model.order))
     rows = prepare(series, initial, states)
