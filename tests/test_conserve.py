@@ -163,6 +163,7 @@ def test_weights_and_equations_beside_the_sum() -> None:
     assert set(dC) == {"A", "C"}
 
 
+@pytest.mark.filterwarnings("ignore:give --conserve '2")  # 2 S + 2 I + 3 R stays: what I loses is half of what R gains
 def test_a_record_whose_sum_changes_says_so() -> None:
     with pytest.warns(
         BayeqWarning, match=r"contradicts that S \+ I \+ R does not change \(sd 0\.1\d*\): shown without"
@@ -231,3 +232,19 @@ def test_a_search_whose_first_model_cannot_be_fitted_goes_on() -> None:
     record, truth = epidemic(300014)
     eq = bq.discover(record, chains=["S", "I", "R"], dictionary=TERMS, conserve="S + I + R")
     assert {one.target: set(one.included) for one in eq} == {target: set(terms) for target, terms in truth.items()}
+
+
+def test_a_sum_of_a_reaction_that_does_not_change_is_offered() -> None:
+    """A <-> 2 B -> C: 2 A + B + C stays."""
+    out, y = [], np.array([2.0, 0.0, 0.0])
+    for k in range(6000):
+        if k % 10 == 0:
+            out.append(y)
+        there, back, gone = 0.1 * y[0], 0.2 * y[1] ** 2, 0.15 * y[1]
+        y = y + 0.01 * np.array([back - there, 2 * there - 2 * back - gone, gone])
+    rng = np.random.default_rng(3)
+    noisy = {
+        name: x + 0.01 * x.std() * rng.standard_normal(600) for name, x in zip("ABC", np.array(out).T, strict=True)
+    }
+    with pytest.warns(TermWarning, match=r"give --conserve '2\*A \+ B \+ C', which does not change"):
+        bq.discover(bq.Record.from_arrays(noisy, fs=10.0), chains=["A", "B", "C"], dictionary="A, B, C, B**2, A*B")

@@ -473,7 +473,7 @@ def test_an_input_that_changes_in_the_last_rows_alone_holds_none_out():
 
 def test_a_form_that_is_not_finite_beside_the_motion_is_left_out_and_said() -> None:
     """A power of populations that noise makes negative; the true form is found whichever comes first."""
-    rng, records = np.random.default_rng(11), []
+    rng, records = np.random.default_rng(13), []
     for first in (3.0, 0.5):
         x = np.full(120, first)
         for k in range(119):

@@ -115,6 +115,11 @@ PARTS, CHANCE, MATTERS = 10, 1e-6, 0.05
 # Sums of up to MOST_SUMMED states; a constant one has a standard deviation below the share STILL of a state's.
 MOST_SUMMED, STILL = 6, 0.3
 
+# Weights of a sum are whole numbers up to MOST_ATOMS, within ROUNDED.
+MOST_ATOMS, ROUNDED = 4, 0.1
+
+CONSTANT = "give --conserve '{}', which does not change: products with it tell nothing"
+
 
 def change_of(conserve: str, weights: Mapping[int, float], motion: Motion) -> str | None:
     """Message if the record contradicts that a weighted sum (weights by equation number) is constant, else None."""
@@ -135,11 +140,31 @@ def warn_of_sums(design: Design, log: WarningLog) -> None:
             found = _change(dict.fromkeys(some, 1.0), design.motion)
             if found is not None and found.chance > CHANCE and found.sd < STILL * found.largest:
                 total = " + ".join(chains[c].names[0] for c in some)
-                log.warn(
-                    f"give --conserve '{total}', which does not change: products with it tell nothing",
-                    TermWarning,
-                )
+                log.warn(CONSTANT.format(total), TermWarning)
                 return
+    weights = _balanced(design.motion)
+    found = _change(weights, design.motion) if weights else None
+    if found is not None and found.chance > CHANCE and found.sd < STILL * found.largest:
+        texts = [chains[c].names[0] if size == 1 else f"{size:g}*{chains[c].names[0]}" for c, size in weights.items()]
+        log.warn(CONSTANT.format(" + ".join(texts)), TermWarning)
+
+
+def _balanced(motion: Motion) -> dict[int, float]:
+    """Small whole numbers by equation, as of a reaction, whose weighted sum of states changes least; else none."""
+    names = [chain.states[0] for chain in motion.roles.chains]
+    parts = [np.column_stack([rows.samples[name] for name in names]) for rows in motion.train]
+    samples = np.concatenate([part - np.nanmean(part, axis=0) for part in parts])
+    samples = samples[np.isfinite(samples).all(axis=1)]
+    spread = samples.std(axis=0)
+    if len(samples) < 3 * PARTS or not (spread > 0.0).all():
+        return {}
+    least = np.linalg.eigh(np.corrcoef(samples.T))[1][:, 0] / spread
+    least = least / least[np.argmax(np.abs(least))]
+    for top in range(1, MOST_ATOMS + 1):
+        whole = np.round(top * least)
+        if whole.min() >= 0.0 and np.abs(top * least - whole).max() < ROUNDED:
+            return {c: float(size) for c, size in enumerate(whole) if size > 0.0}
+    return {}
 
 
 class _Change(NamedTuple):

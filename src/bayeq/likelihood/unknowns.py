@@ -232,7 +232,10 @@ def _instead(motion: Motion, task: Task, fitted: Fitted, active: int, j: int) ->
     task = replace(task, log_odds=odds.ravel())
     family = next((own for own in families(task.layout.terms) if j in own), [j])
     tried = on_gram(task, fitted, family, by_rows(task, motion, family))
-    return settle(*start_at(motion, task, fitted, max(tried, key=lambda one: one.score)))
+    for node in sorted(tried, key=lambda one: -one.score)[:PEAKS]:
+        with suppress(np.linalg.LinAlgError):
+            return settle(*start_at(motion, task, fitted, node))
+    raise np.linalg.LinAlgError(f"{task.layout.terms[j].text}: no start leads to a fit")
 
 
 class _Tangent(NamedTuple):

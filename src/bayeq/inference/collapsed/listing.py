@@ -301,11 +301,16 @@ def search_models(problem: Problem, tolerance: float = 5e-3, known: Sequence[Boo
         listing, inclusion = _listing(room, terms), np.zeros(terms)
         left, expanded = _search(problem, starting, values, zobrist, listing, tolerance, KEEP, inclusion)
         count = int(listing.counts[0])
+        best = int(np.argmax(listing.scores[:count]))
+        if not math.isfinite(left) and listing.scores[best] > values.max():  # masses relative to the starts overflow
+            starting, values = listing.models[best : best + 1].copy(), listing.scores[best : best + 1].copy()
+            continue
         if left <= tolerance or room == most or count < room:
             break
         # a second search is rarely needed, and cheaper than clearing a large table every time
         room = min(16 * room, most)
     order = np.argsort(-listing.scores[:count], kind="stable")
+    left = left if math.isfinite(left) else 1.0
     return ModelSet(listing.models[order], listing.scores[order], left, expanded, inclusion=inclusion)
 
 

@@ -177,7 +177,7 @@ def _columns(channels: list[Channel], where: str, request: Request, names: Names
             raise FileFormatError(f"{where}: {channels[i].path} holds objects, not numbers; they are refused")
     data = Columns.build(headers, values.__getitem__, lambda _: rows)
     step = steps.pop() if len(steps) == 1 and time is None and request.time is None else None
-    return replace(data, doubts=(*data.doubts, *doubts), time=time, step=step, start=chosen[0].start)
+    return replace(data, doubts=doubts, time=time, step=step, start=chosen[0].start)
 
 
 def _find(headers: Headers, key: str) -> int:
