@@ -8,7 +8,7 @@ from scipy import stats
 
 from bayeq import SpikeSlabBMA
 from bayeq.inference.auto import spike_slab_auto
-from bayeq.inference.bma import sample_average, spike_slab_bma
+from bayeq.inference.bma import _possible, sample_average, spike_slab_bma
 from bayeq.inference.collapsed.listing import enumerate_models, search_models
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import log_constant
@@ -138,6 +138,21 @@ def test_terms_beside_a_posterior_too_wide_to_list_are_settled(monkeypatch):
         assert fit.details.unsettled
         assert gram.names[-1] not in fit.details.unsettled
         assert fit.pip[-1] > 0.999
+
+
+def test_covariances_that_rounding_spoilt_are_possible_again():
+    rng = np.random.default_rng(4)
+    root = rng.normal(size=(6, 3)) * np.array([1e12, 1.0, 1e-6, 1.0, 1.0, 0.0])[:, None]
+    right = root @ root.T
+    spoilt = right + 1e-3 * np.sqrt(np.outer(np.diagonal(right), np.diagonal(right))) * rng.normal(size=(6, 6))
+    spoilt = 0.5 * (spoilt + spoilt.T)
+    sd = np.sqrt(np.diagonal(right))[:5]
+    assert np.linalg.eigvalsh(spoilt[:5, :5] / np.outer(sd, sd)).min() < -1e-5
+    found = _possible(spoilt)
+    assert np.linalg.eigvalsh(found[:5, :5] / np.outer(sd, sd)).min() > -1e-12
+    np.testing.assert_allclose(found[:5, :5] / np.outer(sd, sd), right[:5, :5] / np.outer(sd, sd), atol=0.01)
+    kept = right[:5, :5] + np.diag(np.diagonal(right[:5, :5]))
+    assert _possible(kept) is kept
 
 
 def test_groups_of_columns_that_stand_in_for_each_other():

@@ -42,6 +42,10 @@ MOST_KEPT = 5000
 # The covariance over all models is kept for at most this many terms, the likeliest.
 MOST_COVARIANCES = 1000
 
+# A covariance whose correlations have eigenvalues below minus this, times its size, is lost to rounding; eigenvalues
+# are looked at for up to MOST_DECOMPOSED terms, whose decomposition takes no time.
+ROUNDING, MOST_DECOMPOSED = 1e-9, 200
+
 # Rejection sampling draws blocks of at least REJECTED, at most MOST_REJECTIONS of them: enough for signs that are right
 # in one of 10^5 draws.
 REJECTED = 1000
@@ -74,6 +78,21 @@ def _mixture_moments(
                     value = T.partial[a] * T.partial[b] - variance * T.rows[m, b]
                     second[place[a], place[b]] += weights[k] * value
     return mean, square, second, noise
+
+
+def _possible(covariance: Floats) -> Floats:
+    """The covariance, or the nearest positive semidefinite one in units of its standard deviations: a difference of
+    moments loses small eigenvalues to rounding."""
+    sd = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    unit = np.divide(1.0, sd, out=np.zeros(len(sd)), where=sd > 0.0)
+    correlation = covariance * unit[:, None] * unit
+    if len(sd) > MOST_DECOMPOSED or not np.isfinite(correlation).all():
+        return covariance
+    values, vectors = np.linalg.eigh(correlation)
+    if values.min(initial=0.0) > -ROUNDING * len(sd) and (sd > 0.0).all():
+        return covariance
+    found = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return np.asarray(0.5 * (found + found.T) * sd[:, None] * sd)
 
 
 def average_models(
@@ -162,7 +181,7 @@ def spike_slab_bma(
         probability=weights[:MOST_KEPT] / kept,
         left_out=found.left_out if kept == 1.0 else 1.0 - kept * (1.0 - found.left_out),
         terms=terms,
-        covariance=second - np.outer(mean[terms], mean[terms]),
+        covariance=_possible(second - np.outer(mean[terms], mean[terms])),
     )
     contradicted = tuple(gram.names[j] for j in found.contradicted)
     unsettled = tuple(gram.names[j] for j in np.flatnonzero(~(settled | known)))
