@@ -120,6 +120,16 @@ def test_a_late_force_is_the_likely_cause_where_nothing_is_found(tmp_path, capsy
     assert "Likely u may be 0.04 s late: --lag-sd u=0.05 learns that." in out
 
 
+def test_an_offset_of_the_force_is_offered_beside_a_position_of_rest(tmp_path, capsys):
+    record = bq.simulate("duffing", n=2000, seed=1)
+    path = tmp_path / "moved.csv"
+    for offset, said in ((40.0, True), (0.0, False)):
+        moved = bq.Record.from_arrays({**{k: record[k] for k in "xva"}, "u": record["u"] + offset}, time=record.time)
+        bq.write(moved, path)
+        out = printed(capsys, "discover", path, *FULL, "--dictionary", "x, v, x**2, x**3, u")
+        assert ("but for the constant the law is odd: u may have an offset: --remove-offset u=" in out) == said
+
+
 def test_intervals_of_several_equations(tmp_path, capsys):
     path = tmp_path / "flow.csv"
     bq.write(bq.simulate("vanderpol", n=600, seed=1), path)

@@ -98,6 +98,8 @@ def test_names_of_several_chains_are_distinct():
     assert [c.target for c in parse_chains(["x", "y:dy"])] == ["dx", "dy"]
     with pytest.raises(ChainError, match="'x' occurs"):
         parse_chains(["x", "x:v:a"])
+    with pytest.raises(ChainError, match="a colon too many"):
+        parse_chains(["x::a:"])
     with pytest.raises(ChainError):
         parse_chains([])
 

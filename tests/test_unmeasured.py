@@ -62,7 +62,8 @@ def test_why_it_cannot_be_integrated():
     record = bq.Record({"a": wave + 0.05 * rng.normal(size=2000)}, t, name="run")
     noise = record.with_channels({"a": rng.normal(size=2000)})
     assert refused(noise) == (
-        "run: 'a' cannot be integrated: it does not stand out of its noise at any frequency; measure with less noise"
+        "run: 'a' cannot be integrated: it does not stand out of its noise at any frequency; measure with less"
+        " noise, or leave rows at rest out"
     )
     assert refused([record, bq.Record({"a": 1.1 * record["a"]}, 2 * t)]) == (
         "run: 'a' cannot be integrated: records are sampled at different rates; resample them at one rate"

@@ -91,7 +91,7 @@ def _answer(eq: Answer, physical: PhysicalParameters | None, compact: bool) -> l
     for one in eq.equations:
         which = f"{one.target}: " if len(eq.equations) > 1 else ""
         small = [[_wrapped(which + said) for said in text.unseen(one, few, ADVICE)] for few in (FEW, 1)]
-        others = (_wrapped(which + said) for said in (*failed(one), *series(one)))
+        others = (_wrapped(which + said) for said in (*failed(one), *series(one), *offset(one)))
         checked += chain.from_iterable([*others, *min(small, key=lambda said: sum(map(len, said)))])
     checked += chain.from_iterable(map(_wrapped, (*copies(eq), *text.given_of(eq))))
     return [*lines, *([] if compact else [""]), *checked, *_wrapped(text.source_of(eq, short=True))]
@@ -278,6 +278,22 @@ def series(equation: Equation) -> Iterator[str]:
     bent = [name for name in bent if name not in (x, f"{x}**3")]
     if equation.chain.order == 2 and len(bent) > MOST_BENT and not equation.constants:
         yield printable(f"{', '.join(bent)} may be a kink: try --dictionary 'oscillator + max({x}-{{g}},0)'")
+
+
+def offset(equation: Equation) -> Iterator[str]:
+    """A hint if a law with a nonlinear spring is odd in the motion but for its constant: of the input, perhaps."""
+    names, shown = equation.chain.names, [term for term in equation.terms if term.text in equation.shown]
+    driven = [term.text for term in shown if not term.names <= set(names)]
+    own = [term for term in shown if term.text not in driven]
+    bent = any(term.names == {names[0]} and term.text != names[0] for term in own)
+    if equation.chain.order != 2 or not equation.intercept_matters or not bent or len(driven) != 1:
+        return
+    motion = dict(zip(names, np.array([[0.7, -1.3, 2.1], [-0.4, 1.1, 0.6], [0.3, 0.9, -0.8]]), strict=True))
+    back = {name: -column for name, column in motion.items()}
+    if driven[0].isidentifier() and np.allclose(evaluate_terms(own, motion), -evaluate_terms(own, back)):
+        size = -equation.shown_model.intercept / equation.shown_coef[driven[0]]
+        remedy = f"--remove-offset {driven[0]}={size:.4g}"
+        yield printable(f"but for the constant the law is odd: {driven[0]} may have an offset: {remedy}")
 
 
 def failed(equation: Equation) -> Iterator[str]:

@@ -165,6 +165,8 @@ def parse_chain(text: str) -> Chain:
         raise ChainError(f"chain {text[:60]!r} has order {len(parts) - 1}; at most {MAX_ORDER} is allowed; {form}")
     if not any(parts):
         raise ChainError(f"chain {text[:60]!r} names no channel; {form}")
+    if len(parts) > 3 and not parts[-1]:
+        raise ChainError(f"chain {text[:60]!r} has a colon too many; a law of order {len(parts) - 1} is x:v:a:~j")
     for part in parts:
         if keyword.iskeyword(part.removeprefix("~")) or len(part) > LONGEST:
             raise ChainError(f"chain {text[:60]!r}: {part[:40]!r} is not a channel name; {form}")

@@ -443,7 +443,7 @@ def _words(eq: Answer) -> list[str]:
     """Paragraphs of `explanation`, without those on warnings and marks, which the page explains in place."""
     _, _, *paragraphs = explanation(eq).split("\n\n")
     lines = (" ".join(paragraph.split()) for paragraph in paragraphs)
-    return [line for line in lines if not line.startswith(("warnings:", f"{MARK}:", "not determined by"))]
+    return [line for line in lines if not line.startswith(("warnings:", f"{MARK}:", "too small to be seen here:"))]
 
 
 def _data(eq: Answer) -> dict[str, str]:

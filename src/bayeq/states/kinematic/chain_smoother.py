@@ -208,7 +208,9 @@ def _coordinate_sd(series: Sequence[ChainSeries], lowest: int, model: KinematicM
     by_chance = float(chdtri(freedom, STATES.emerged_chance / len(level))) / freedom
     emerged = max(STATES.emerged, by_chance)
     if not (level[1:] > emerged * noise**2).any():
-        raise RecordError("it does not stand out of its noise at any frequency; measure with less noise")
+        raise RecordError(
+            "it does not stand out of its noise at any frequency; measure with less noise, or leave rows at rest out"
+        )
     peak = 1 + int(np.argmax(level[1:]))
     # first with the noise at the low end, if it is above the smoother's, then with the smoother's
     for least in (max(noise**2, float(level[: peak + 1].min())), noise**2):
