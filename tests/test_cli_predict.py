@@ -123,6 +123,9 @@ def test_other_names_and_units(folder, tmp_path, capsys):
     header = "Zeit [s],Weg [mm],Geschw [m/s],Beschl [g],Kraft [N]"
     np.savetxt(tmp_path / "run.csv", columns, delimiter=",", header=header, comments="")
     names = ["--channel", "x=Weg", "--channel", "v=Geschw [m/s]", "--channel", "a=Beschl", "--channel", "u=Kraft"]
+    code, _, said = run(capsys, "predict", folder / "eq.json", tmp_path / "run.csv")
+    assert code == 2
+    assert said[0].endswith("say where it is: --channel x=NAME")
     code, out, said = run(capsys, "predict", folder / "eq.json", tmp_path / "run.csv", *names, "--json")
     assert code == 0
     assert "bayeq: warning: x was converted from mm to m" in said

@@ -122,7 +122,12 @@ def predict(
     names = [name for name in found.roles.channels if name not in found.numbers]
     paths = paths_of(channels, names)
     with Progress(verbose) as progress:
-        records = reading.records(files, names, paths, progress)
+        try:
+            records = reading.records(files, names, paths, progress)
+        except UnknownNameError as error:
+            if channels or error.name not in names:
+                raise
+            raise InputError(f"{error}; say where it is: --channel {error.name}=NAME") from None
         progress("predicting", 0, 1)
         from bayeq.equation.applied import apply_to
 
