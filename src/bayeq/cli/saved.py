@@ -122,16 +122,16 @@ def predict(
     names = [name for name in found.roles.channels if name not in found.numbers]
     paths = paths_of(channels, names)
     with Progress(verbose) as progress:
+        from bayeq.equation.applied import apply_to
+
         try:
             records = reading.records(files, names, paths, progress)
+            progress("predicting", 0, 1)
+            prediction = apply_to(found, records, draws, seed)
         except UnknownNameError as error:
             if channels or error.name not in names:
                 raise
             raise InputError(f"{error}; say where it is: --channel {error.name}=NAME") from None
-        progress("predicting", 0, 1)
-        from bayeq.equation.applied import apply_to
-
-        prediction = apply_to(found, records, draws, seed)
         progress.close()
         for note in prediction.notes:
             warnings.warn(note, DataWarning, stacklevel=1)
