@@ -794,3 +794,14 @@ def test_numbers_from_a_hundred_on_are_written_plainly():
     assert "1000 Hz" in str(found)
     assert "slow changes in every 100 rows only" in " ".join(found.findings)
     assert "e+0" not in str(found)
+
+
+def test_time_that_runs_backwards_is_no_row_of_experiments(tmp_path):
+    record = bq.simulate("duffing", n=400, seed=1)
+    rows = np.column_stack([record.time, record["x"], record["u"]])[::-1]
+    np.savetxt(tmp_path / "back.csv", rows, delimiter=",", header="t,x [m],u [N]", comments="")
+    found = bq.info(tmp_path / "back.csv")
+    assert len(found.experiments.records) == 1
+    assert "time runs backwards: sort the rows by it" in str(found)
+    with pytest.raises(InputError, match="sort the rows by time"):
+        bq.discover(tmp_path / "back.csv", displacement="x", force="u")

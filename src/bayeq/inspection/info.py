@@ -143,7 +143,7 @@ def _opened(path: Path, how: Mapping[str, Any]) -> Experiments:
         if how["fs"] is not None or group is not None:
             raise
         # given a rate (any value), the time column is read as a channel
-        record = read(path, **{**how, "fs": 1.0})
+        record = read(path, **{**how, "fs": 1.0, "time": None})
         column = next((name for name in record.names if name == time or (time is None and is_time_name(name))), None)
         if column is None:
             raise
@@ -333,6 +333,8 @@ def _on_time(found: RecordInfo) -> Iterator[str]:
 
 def _on_experiments(found: RecordInfo) -> Iterator[str]:
     one = found.experiments
+    if one.backwards:
+        yield "time runs backwards: sort the rows by it"
     count = len(one.records)
     if count == 1:
         yield from [f"{one.column} numbers the experiments: there is one"] if one.column else _on_parts(found)

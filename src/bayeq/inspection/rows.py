@@ -65,6 +65,7 @@ class Experiments:
     counter: str | None = None  # a column that counts the rows
     step: str | None = None  # a constant column that is the time step, of a file without time
     restarts: bool = False  # whether time starts over within the file
+    backwards: bool = False  # whether time falls from row to row
 
 
 def sort_rows(record: Record, time: str | None = None) -> Experiments:
@@ -82,6 +83,9 @@ def sort_rows(record: Record, time: str | None = None) -> Experiments:
             clock, unit = in_seconds(record[time], record.units.get(time) or time_unit(time), time)
         elif (step := next((name for name in record.names if _is_step(record, name)), None)) is not None:
             clock = np.asarray(np.arange(record.n) * float(np.nanmax(record[step])), dtype=np.float64)
+    backwards = clock is not None and record.n > 2 and bool((np.diff(clock) < 0.0).all())
+    if backwards:
+        clock = None
     restarts = np.zeros(0, dtype=np.intp) if clock is None else np.flatnonzero(np.diff(clock) < 0.0) + 1
     column = _trial_column(record, restarts, clock, {time, counter, step})
     starts = restarts if column is None else np.union1d(restarts, equal_runs(record[column])[0][1:])
@@ -100,7 +104,9 @@ def sort_rows(record: Record, time: str | None = None) -> Experiments:
         name = record.name if len(bounds) == 2 else f"{record.name} [experiment {k + 1}]".strip()
         piece = {key: values[a:b] for key, values in channels.items()}
         records.append(Record(piece, None if clock is None else clock[a:b], units, name, None))
-    return Experiments(tuple(records), time, column, counter, step, bool(len(restarts)))
+    return Experiments(
+        tuple(records), None if backwards else time, column, counter, step, bool(len(restarts)), backwards
+    )
 
 
 def _is_step(record: Record, name: str) -> bool:
