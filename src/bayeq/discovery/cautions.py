@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Iterator, Mapping, Sequence, Set
 from typing import NamedTuple
 
 import numpy as np
@@ -118,8 +118,6 @@ MOST_SUMMED, STILL = 6, 0.3
 # Weights of a sum are whole numbers up to MOST_ATOMS, within ROUNDED.
 MOST_ATOMS, ROUNDED = 4, 0.1
 
-CONSTANT = "give --conserve '{}', which does not change: products with it tell nothing"
-
 
 def change_of(conserve: str, weights: Mapping[int, float], motion: Motion) -> str | None:
     """Message if the record contradicts that a weighted sum (weights by equation number) is constant, else None."""
@@ -135,18 +133,21 @@ def warn_of_sums(design: Design, log: WarningLog) -> None:
     products = any(degree(term) > 1 and len(term.names & states) > 1 for term in design.terms)
     if not products or not 2 <= len(chains) <= MOST_SUMMED or any(one.order != 1 or one.hidden for one in chains):
         return
-    for count in range(2, len(chains) + 1):
-        for some in itertools.combinations(range(len(chains)), count):
-            found = _change(dict.fromkeys(some, 1.0), design.motion)
-            if found is not None and found.chance > CHANCE and found.sd < STILL * found.largest:
-                total = " + ".join(chains[c].names[0] for c in some)
-                log.warn(CONSTANT.format(total), TermWarning)
-                return
-    weights = _balanced(design.motion)
-    found = _change(weights, design.motion) if weights else None
-    if found is not None and found.chance > CHANCE and found.sd < STILL * found.largest:
-        texts = [chains[c].names[0] if size == 1 else f"{size:g}*{chains[c].names[0]}" for c, size in weights.items()]
-        log.warn(CONSTANT.format(" + ".join(texts)), TermWarning)
+    for weights in _sums(design.motion):
+        found = _change(weights, design.motion) if weights else None
+        if found is not None and found.chance > CHANCE and found.sd < STILL * found.largest:
+            texts = [f"{'' if size == 1 else f'{size:g}*'}{chains[c].names[0]}" for c, size in weights.items()]
+            total = " + ".join(texts)
+            log.warn(f"give --conserve '{total}', which does not change: products with it tell nothing", TermWarning)
+            return
+
+
+def _sums(motion: Motion) -> Iterator[dict[int, float]]:
+    """Sums of states that may be constant, weights by equation number: of two states or more, and as `_balanced`."""
+    equations = range(len(motion.roles.chains))
+    for count in range(2, len(equations) + 1):
+        yield from (dict.fromkeys(some, 1.0) for some in itertools.combinations(equations, count))
+    yield _balanced(motion)
 
 
 def _balanced(motion: Motion) -> dict[int, float]:
