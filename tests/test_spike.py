@@ -6,6 +6,8 @@ from scipy.stats import multivariate_normal
 from studies.nearly_true import draw_record
 
 import bayeq as bq
+from bayeq.inference.collapsed.listing import search_models
+from bayeq.inference.collapsed.search import scores_of
 from bayeq.likelihood.fit import Quadratic
 from bayeq.likelihood.spike import Soft, isotropic, root_of, softened
 from bayeq.numerics.settings import LIKELIHOOD
@@ -74,6 +76,19 @@ def test_the_evidence_of_sizes_is_that_of_all_coefficients_together(lorenz):
         differences.append(models[included.tobytes()] - direct)
     assert differences[1] == pytest.approx(differences[0], abs=0.05)
     assert differences[2] == pytest.approx(differences[0], abs=0.05)
+
+
+@pytest.mark.parametrize("least", (1e-1, 1e-3))
+def test_columns_that_grow_alike_do_not_spoil_scores(lorenz, least):
+    """Rounding of the Gram of an unstable law is larger than the prior: scores were too large by 1e8 nats, or inf."""
+    task, rng = lorenz.fit.regression.record.task, np.random.default_rng(0)
+    terms = len(task.precision)
+    D = np.geomspace(1e9, least, terms)[:, None] * np.linalg.qr(rng.standard_normal((terms, terms)))[0]
+    D *= np.sqrt(task.precision)
+    law = 1e-5 * (np.arange(terms) % 7 == 0) / np.sqrt(task.precision)
+    problem = task.problem(Quadratic(0.0, D.T @ (D @ law + rng.standard_normal(terms)), D.T @ D))
+    listed = search_models(problem)
+    np.testing.assert_allclose(listed.log_posterior, scores_of(problem, listed.models), rtol=0.0, atol=0.01)
 
 
 def test_an_exact_law_is_exact(lorenz):

@@ -58,6 +58,10 @@ HARDLY_ANY, CALM_STEPS = 1e-3, 3
 # Noise of known variance: as if estimated from this many times the record's samples.
 KNOWN = 1e4
 
+# Share of a Gram's diagonal that is added to it, above its rounding. Columns of an unstable law grow alike: what tells
+# them apart is lost in rounding, which may be larger than the prior, and scores of models are then meaningless.
+ROUNDING = 1e-14
+
 # The likelihood is flat near zero discrepancy, so that a search stays there. With many samples a fit is compared with
 # one that starts from a discrepancy of this share of its target and this memory, which is taken if it is as likely:
 # from there further rows can lower the discrepancy as well as raise it. One that starts worse by FLAT nats is dropped.
@@ -171,6 +175,7 @@ class Task:
             information, slope = F.T @ information @ F, F.T @ slope
         scale = 1.0 / np.sqrt(precision)
         DtD = information * scale[:, None] * scale
+        DtD[np.diag_indices_from(DtD)] *= 1.0 + ROUNDING
         Dty = slope * scale
         rows = KNOWN * self.rows
         names = tuple(map(str, range(len(Dty))))
