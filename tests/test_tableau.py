@@ -296,3 +296,14 @@ def test_what_spoils_a_tableau_is_seen_and_mended():
         for kept, new in zip(T, fresh, strict=True):
             np.testing.assert_array_equal(kept[:3], new[:3])
         np.testing.assert_array_equal(T.diagonal, fresh.diagonal)
+
+
+def test_a_search_ends_where_rounding_spoils_all_gains():
+    """Without the guard, scores grew from one restart of the search to the next, without end."""
+    rng = np.random.default_rng(0)
+    D = np.geomspace(1e9, 1e-3, 60)[:, None] * np.linalg.qr(rng.standard_normal((60, 60)))[0]
+    y = D @ (1e-5 * (np.arange(60) % 7 == 0)) + rng.standard_normal(60)
+    gram = Gram(tuple(map(str, range(60))), 10**7, np.zeros(60), 0.0, D.T @ D, D.T @ y, float(y @ y) + 1e7, 1e7)
+    listed = search_models(Problem.of(gram, Prior(slab_variance=1.0)))
+    assert listed.left_out > 0.5
+    assert listed.inclusion is None

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from bayeq.arrays import Bools, Floats, Ints
 from bayeq.inference.collapsed.problem import Problem
-from bayeq.inference.collapsed.search import best_models
+from bayeq.inference.collapsed.search import best_models, scores_of
 from bayeq.inference.collapsed.tableau import flip_gains, move_to, score, swap_gains, swept
 from bayeq.kernels import kernel
 
@@ -242,10 +242,12 @@ def _search(
             break
         item = _pop(heap, counts[1], scores)
         counts[1] -= 1
-        move_to(p, T, current, models[item])
         spent, found = math.exp(scores[item] - reference), 0.0
         frontier -= spent
         expanded += 1
+        if not move_to(p, T, current, models[item]):  # columns are nearly dependent: gains of its moves are rounding
+            dropped += CAUTION * spent
+            continue
         looked_at += spent
         for i in range(-1, terms):
             # i < 0: flips of single terms; otherwise swaps of the active term i
@@ -302,16 +304,21 @@ def search_models(problem: Problem, tolerance: float = 5e-3, known: Sequence[Boo
         left, expanded = _search(problem, starting, values, zobrist, listing, tolerance, KEEP, inclusion)
         count = int(listing.counts[0])
         best = int(np.argmax(listing.scores[:count]))
-        if not math.isfinite(left) and listing.scores[best] > values.max():  # masses relative to the starts overflow
-            starting, values = listing.models[best : best + 1].copy(), listing.scores[best : best + 1].copy()
-            continue
+        if not math.isfinite(left):  # masses relative to the starts overflow
+            again = listing.models[best : best + 1].copy()
+            likelier = scores_of(problem, again)
+            if likelier[0] > values.max():
+                starting, values = again, likelier
+                continue
         if left <= tolerance or room == most or count < room:
             break
         # a second search is rarely needed, and cheaper than clearing a large table every time
         room = min(16 * room, most)
     order = np.argsort(-listing.scores[:count], kind="stable")
     left = left if math.isfinite(left) else 1.0
-    return ModelSet(listing.models[order], listing.scores[order], left, expanded, inclusion=inclusion)
+    # `inclusion` is 0 if rounding spoils all models with mass
+    given = inclusion if inclusion.any() else None
+    return ModelSet(listing.models[order], listing.scores[order], left, expanded, inclusion=given)
 
 
 def list_models(

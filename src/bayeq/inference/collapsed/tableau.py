@@ -218,14 +218,16 @@ def drifted(p: Problem, T: Tableau) -> bool:
 
 
 @kernel(borrowing=True)
-def move_to(p: Problem, T: Tableau, current: Bools, model: Bools) -> None:
-    """Move the tableau, and `current` with it, from one model to another, in place."""
+def move_to(p: Problem, T: Tableau, current: Bools, model: Bools) -> bool:
+    """Move the tableau, and `current` with it, from one model to another, in place; False if rounding spoils it."""
     for j in range(len(current)):
         if model[j] != current[j]:
             flip(p, T, j)
             current[j] = model[j]
     if drifted(p, T):
         renew(p, T, current)
+        return not drifted(p, T)
+    return True
 
 
 def active_block(T: Tableau, index: Ints) -> Floats:
