@@ -15,7 +15,6 @@ from typing import Any
 
 from bayeq.numerics.settings import (
     EQUATION,
-    FORECAST,
     INFERENCE,
     LIKELIHOOD,
     PLAN,
@@ -35,7 +34,7 @@ PAGE, TABLE = ROOT / "docs/rules.md", ROOT / "docs/tables/sensitivity.csv"
 # Of the instances, by name.
 STAGES: Mapping[str, Any] = {
     "RECORDS": RECORDS, "STATES": STATES, "LIKELIHOOD": LIKELIHOOD, "REGRESSION": REGRESSION, "INFERENCE": INFERENCE,
-    "SELECTION": SELECTION, "EQUATION": EQUATION, "FORECAST": FORECAST, "REFINE": REFINE, "PLAN": PLAN,
+    "SELECTION": SELECTION, "EQUATION": EQUATION, "REFINE": REFINE, "PLAN": PLAN,
     "STREAMING": STREAMING,
 }  # fmt: skip
 

@@ -180,7 +180,7 @@ def apply_to(equations: Equations, records: Sequence[Record], draws: int = 200, 
     forecasts = [run for _, run in runs]
     unknown = None if equations.roles.discrete else 0.0  # no smoother estimates the noise of maps
     free_run = {name: _free_run(name, forecasts, noise.get(name, unknown), e) for name, e in scores.free_run.items()}
-    by_target = {one.target: found[0] for one, found in zip(equations, windows, strict=True) if found is not None}
+    by_target = {one.target: found.error for one, found in zip(equations, windows, strict=True) if found is not None}
     kind, reason = _verdict(one_step, free_run, by_target)
     timed = not equations.data.rows_as_time
     return Prediction(

@@ -19,6 +19,7 @@ from bayeq.equation.verdict import (
     LEAST_SHOWN,
     LONGER,
     Verdict,
+    Window,
     alike,
     doubted,
     judge,
@@ -101,7 +102,7 @@ def build_equations(
     return tuple(equations), held_out_scores(dynamics, motion)
 
 
-def build_equation(selection: Selection, window: tuple[float, str] | None) -> Equation:
+def build_equation(selection: Selection, window: Window | None) -> Equation:
     """The equation of a selection, with fits and diagnostics; `window` is its entry in `window_errors`."""
     fit = selection.fit
     regression, motion = fit.regression, fit.regression.motion

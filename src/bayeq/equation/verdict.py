@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from bayeq.equation.written import chance
 from bayeq.errors import in_digits
 from bayeq.expressions.implicit import multiplied
 from bayeq.forecast.dynamics import Dynamics
-from bayeq.forecast.free_run import correlation_time, typical_period, window_runs
+from bayeq.forecast.free_run import typical_period, window_runs
 from bayeq.forecast.rows import divided, rows_of
 from bayeq.forecast.score import percent
 from bayeq.likelihood.adequacy import Change, Discrepancy, Octave
@@ -39,6 +39,9 @@ NOTHING = 0.005
 # A discrepancy below this share of the target's standard deviation has no effect that could be seen.
 LEAST_SHOWN = 1e-3
 
+# Runs with drawn coefficients and first states that each window is compared with.
+MOVED = 5
+
 LONGER = "a longer record, other amplitudes or frequencies would tell (bayeq plan), or terms known beforehand"
 CAREFUL = "parameters may be off by more than their intervals say"
 
@@ -51,6 +54,21 @@ MOST_MATRICES, SINGULAR = 500, 0.01
 MUCH = 0.2
 
 
+# Free runs and the states of the rows there, in units of the spread and noise of the whole motion.
+Runs = Sequence[tuple[Floats, Floats]]
+
+
+class Window(NamedTuple):
+    """Median errors of free runs over windows, over the spread and noise of the states in the whole motion.
+
+    Runs of chaotic motion, or near an unstable rest, leave the record however right the equation is: the unit of
+    `unexplained` is larger by the distance of runs from noisy first states with other coefficients of the posterior.
+    """
+
+    error: float
+    unexplained: float
+
+
 @dataclass(frozen=True, slots=True)
 class Verdict:
     """Whether an equation was found.
@@ -59,9 +77,9 @@ class Verdict:
     ----------
     kind : "none", "not determined", "nearly true" or "found"
         ``none``: on the rows held out (on the training rows, if none are) the equation explains less than half of the
-        target's variance above its noise, or free runs over windows of one period (chaotic motion: of the time in which
-        its autocorrelation falls to 1/e) err by at least the spread and noise of the whole motion; or the equation has
-        no term. Rows at rest are compared with the variance of the whole motion.
+        target's variance above its noise, or free runs over windows of one period err by at least the spread and noise
+        of the whole motion, beside what noise in the first state explains; or the equation has no term. Rows at rest
+        are compared with the variance of the whole motion.
         ``not determined``: the engine did not converge, models with other predictions have more than 5 % of the
         probability, the record contradicts what was stated, or periodic motion does not distinguish the candidates
         (`bayeq.equation.selection.excitation`).
@@ -88,7 +106,7 @@ def judge(
     fit: Fit,  # R2 and errors of the equation; both sides are smoothed alike if the target is estimated
     held_out: bool,  # whether the fit is on the rows held out, not on the training rows
     noise: float,  # share of the target's variance that is noise, or error of its estimate, as far as it is known
-    window: tuple[float, str] | None,  # error of free runs over windows and their length in words, from `window_errors`
+    window: Window | None,  # error of free runs over windows, from `window_errors`
     target_estimated: bool = False,  # whether a smoother estimated it: free runs decide if it is hardly above its error
     share: float = 1.0,  # the target's variance on these rows as a share of that over the whole motion
     numbers: float = 1.0,  # independent values in a row of the target
@@ -112,12 +130,12 @@ def judge(
     rows = "" if by_runs else f"{explained} on {where}{of_all}"
     if window is None:
         return Verdict("found", rows)
-    error, length = window
-    if not error < EQUATION.as_the_mean:
+    if not window.unexplained < EQUATION.as_the_mean:
         though = f", though the terms explain {target} row by row ({rows})" if rows else ""
-        failed = f"started from a measured state the equation is wrong within {length}"
+        failed = "started from a measured state the equation is wrong within one period"
         return Verdict("none", f"no equation found: {failed}{though}")
-    return Verdict("found", f"{rows}{'; ' if rows else ''}free runs over {length} within {in_digits(100 * error)} %")
+    within = f"free runs over one period within {in_digits(100 * window.error)} %"
+    return Verdict("found", f"{rows}{'; ' if rows else ''}{within}")
 
 
 def doubted(
@@ -310,32 +328,40 @@ def state_noise(motion: Motion) -> dict[str, float]:
     }
 
 
-def window_errors(dynamics: Dynamics, motion: Motion) -> Sequence[tuple[float, str] | None]:
-    """For each equation the median error of free runs over windows, and the length of the windows in words.
+def window_errors(dynamics: Dynamics, motion: Motion) -> Sequence[Window | None]:
+    """The errors of each equation in free runs over windows of a typical period.
 
-    Windows last a typical period, in chaotic motion at most `correlation_time`. They are from the rows held out, or
-    from the training rows if none fit there. Errors are over the spread and noise of the states in the whole motion.
-    None without time, with too few rows, and for static laws.
+    Windows are from the rows held out, or from the training rows if none fit there. None without time, with too few
+    rows, and for static laws.
     """
     none = [None] * len(dynamics.laws)
     if not (motion.timed and dynamics.states):
         return none
     whole = rows_of(motion, "a free run")
     states = np.concatenate([rows.stack(dynamics.states) for rows in whole])
-    unit = np.hypot(states.std(axis=0), [state_noise(motion).get(name, 0.0) for name in dynamics.states])
-    period = typical_period(dynamics, whole)
-    shorter = correlation_time(dynamics, whole, period)
+    noise = np.array([state_noise(motion).get(name, 0.0) for name in dynamics.states])
+    unit, period = np.hypot(states.std(axis=0), noise), typical_period(dynamics, whole)
+    rng = np.random.default_rng(0)
+    moved = [(theta, noise * rng.standard_normal(len(noise))) for theta in dynamics.draw(MOVED, rng)]
     train, held_out = divided(motion, whole)
     for part in (held_out, train):
         pieces = [rows for rows in part if rows.n > 1]
-        windows = window_runs(dynamics, pieces, min(period, shorter), unit=unit) if pieces else []
+        windows = window_runs(dynamics, pieces, period, unit=unit) if pieces else []
         if windows:
-            length = "one correlation time" if shorter < period else "one period"
+            others = [window_runs(dynamics, pieces, period, theta, unit, off) for theta, off in moved]
             places = [[dynamics.states.index(name) for name in chain.states] for chain in dynamics.roles.chains]
-            return [(_median_error(windows, own), length) if own else None for own in places]
+            return [_window(windows, others, own) if own else None for own in places]
     return none
 
 
-def _median_error(windows: Sequence[tuple[Floats, Floats]], places: Sequence[int]) -> float:
-    squares = [float(np.mean((run[:, places] - states[:, places]) ** 2)) for run, states in windows]
-    return math.sqrt(np.median([s if math.isfinite(s) else math.inf for s in squares]))
+def _window(runs: Runs, others: Sequence[Runs], places: Sequence[int]) -> Window:
+    """The errors in the states `places`, from runs and from `others` of drawn coefficients and first states."""
+
+    def squares(pairs: Iterable[tuple[Floats, Floats]], blown: float) -> Floats:
+        found = np.array([np.mean((one[:, places] - other[:, places]) ** 2) for one, other in pairs])
+        return np.where(np.isfinite(found), found, blown)
+
+    errors = squares(runs, math.inf)
+    distances = [squares(((run, moved) for (run, _), (moved, _) in zip(runs, one, strict=True)), 0.0) for one in others]
+    unexplained = errors / (1.0 + np.mean(distances, axis=0))
+    return Window(math.sqrt(np.median(errors)), math.sqrt(np.median(unexplained)))

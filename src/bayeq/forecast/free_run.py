@@ -19,7 +19,6 @@ from bayeq.forecast.dynamics import Dynamics, finest_step
 from bayeq.forecast.rows import Courses, Rows, between, normalised_error, require_time, rows_of, window_of
 from bayeq.inference.posterior import Projected
 from bayeq.numerics.rk4 import Drive, check_interpolation, free_runs, interpolant, shoot
-from bayeq.numerics.settings import FORECAST
 from bayeq.records import Record
 from bayeq.states import Sensors, Smooth, corrected, estimate_motion, rates
 from bayeq.states.prepare import inputs_filled
@@ -413,34 +412,19 @@ def pushed(drive: Drive, time: Floats, forces: Sequence[Floats]) -> Drive:
     return drive._replace(inputs=np.concatenate([drive.inputs, between], axis=1))
 
 
-def correlation_time(dynamics: Dynamics, pieces: Sequence[Rows], period: float) -> float:
-    """First lag [s] at which the autocorrelation of chaotic motion falls to 1/e; infinite for other motion.
-
-    Motion counts as chaotic if nothing drives it, and its autocorrelation (mean over the states of the longest record)
-    does not rise above 1/e again within three typical periods, as that of an oscillation does; motion that dies out at
-    once counts too. The result is at least the time of the fewest rows of a window.
-    """
-    rows = max(pieces, key=lambda one: one.n)
-    if dynamics.roles.drivers or not math.isfinite(period):
-        return math.inf
-    step = float(np.median(np.diff(rows.time)))
-    states = rows.stack(dynamics.states)
-    states = (states - states.mean(axis=0)) / np.where(np.ptp(states, axis=0) > 0, states.std(axis=0), 1.0)
-    power = np.mean(np.abs(np.fft.rfft(states, 2 * rows.n, axis=0)) ** 2, axis=1)
-    lags = min(round(FORECAST.returns * period / step) + 1, rows.n // 2)
-    low = np.fft.irfft(power)[:lags] / (rows.n - np.arange(lags)) < FORECAST.fallen
-    fallen = int(np.argmax(low))
-    return max(fallen, least_rows(dynamics) - 1) * step if low[fallen:].all() and low.any() else math.inf
-
-
 def window_runs(
-    dynamics: Dynamics, pieces: Sequence[Rows], duration: float, theta: Floats | None = None, unit: Floats | None = None
+    dynamics: Dynamics,
+    pieces: Sequence[Rows],
+    duration: float,
+    theta: Floats | None = None,
+    unit: Floats | None = None,
+    off: Floats | float = 0.0,
 ) -> list[tuple[Floats, Floats]]:
     """Free runs over windows of `duration` [s], and the states of the rows there, (m, d) each, in units of `unit`.
 
-    Each starts at the states of its first row. Windows are at most half a record, and overlap in a short one; there are
-    none if no record is long enough. Steps of time may be uneven. By default the parameters `theta` (p,) are
-    their posterior means, and the unit of each state (d,) its spread over these rows.
+    Each starts at the states of its first row plus `off` (d,). Windows are at most half a record, and overlap in a
+    short one; there are none if no record is long enough. Steps of time may be uneven. By default the parameters
+    `theta` (p,) are their posterior means, and the unit of each state (d,) its spread over these rows.
     """
     theta = dynamics.mean if theta is None else theta
     states = [rows.stack(dynamics.states) for rows in pieces]
@@ -458,7 +442,7 @@ def window_runs(
         count = max(1, round(WINDOWS * rows.n / len(whole)))
         for first in np.linspace(0, rows.n - length, count).astype(int):
             end = first + length
-            run, _, _ = mean_run(dynamics, theta, known[first], drive.part(first, end))
+            run, _, _ = mean_run(dynamics, theta, known[first] + off, drive.part(first, end))
             out.append((run / scale, known[first:end] / scale))
     return out
 

@@ -278,7 +278,8 @@ class EquationSettings:
     least_r2: float = setting(0.5, "An equation that explains a smaller share of what stands above its target's "
         "noise is `none`: more is unexplained than explained.", cliff=True)
     as_the_mean: float = setting(1.0, "Runs over windows of a period that err by this much, over the spread and "
-        "noise of the whole motion, are `none`: the mean would do as well.", unit="times")
+        "noise of the whole motion, beside what noise in the first state explains, are `none`: the mean would do as "
+        "well.", unit="times")
     at_rest: float = setting(0.1, "Rows held out are at rest where their signal is below this share of that of the "
         "whole motion: R2 is then by the variance of the whole motion.", "`tests/test_verdict.py`")
     doubt: float = setting(0.05, "An equation is not determined where models that predict otherwise have more "
@@ -291,20 +292,6 @@ class EquationSettings:
 
 
 EQUATION = EquationSettings()
-
-
-@dataclass(frozen=True)
-class ForecastSettings:
-    """Windows over which free runs are compared."""
-
-    fallen: float = setting(math.exp(-1.0), "Windows of motion that nothing drives end where the autocorrelation has "
-        "fallen to this.", "`tests/test_verdict.py`")
-    returns: float = setting(3.0, "... where it does not come back above it within this, else after a period: Van "
-        "der Pol's (mu 5) came back within 2, Roessler's within 3 (14 systems without noise, one record each).",
-        "`tests/test_verdict.py`", "periods")
-
-
-FORECAST = ForecastSettings()
 
 
 @dataclass(frozen=True)
