@@ -49,9 +49,9 @@ def test_what_cannot_be_integrated():
         bq.discover(odd, chains="::a", inputs=["u"])
 
 
-def refused(records):
+def refused(records, inputs=()):
     with pytest.raises(InputError) as error:
-        bq.discover(records, chains="::a", dictionary=["x", "dx"])
+        bq.discover(records, chains="::a", dictionary=["x", "dx"], inputs=inputs)
     return str(error.value)
 
 
@@ -73,7 +73,7 @@ def test_why_it_cannot_be_integrated():
     )
     mixed = np.random.default_rng(0).permutation(record["a"])  # rows in no order, which are no time
     assert refused(bq.Record({"a": mixed}, name="run")).endswith("which needs a time column or fs")
-    still = record.with_channels({"a": np.where(t < 16.5, 1.0, record["a"])})
-    assert refused(still) == (
+    still = record.with_channels({"a": np.where(t < 16.5, 1.0, record["a"]), "u": np.where(t < 16.5, 0.0, wave)})
+    assert refused(still, inputs=["u"]) == (
         "run: training rows of chain '::a' cannot be smoothed: derivative 2 is constant: its noise cannot be estimated"
     )

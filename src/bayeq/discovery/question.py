@@ -54,6 +54,7 @@ from bayeq.states.bad_samples import Learned
 from bayeq.states.derive import require_in_range, require_steps, require_varying
 from bayeq.states.motion import cut_at, held_out_share
 from bayeq.states.prepare import bridged_record, cleaned, divided_at_gaps, in_samples, require_enough, without_hum
+from bayeq.states.rest import without_rest
 
 NO_LIKELIHOOD = (
     "the full fit failed, a simpler one was used: intervals and probabilities are less sure; give fewer terms"
@@ -121,7 +122,8 @@ class Question:
         if whole is None:
             measured, copies = without_copies(measured, self.roles.channels)
             measured, converted = in_one_unit(measured, self.roles.channels)
-            log.extend([*copies, *converted], DataWarning)
+            measured, rests = without_rest(measured, self.roles)
+            log.extend([*copies, *converted, *rests], DataWarning)
         if because is not None:
             log.warn(because, DataWarning)
         if self.roles.states and not self.roles.discrete and any(map(counts_rows, measured)):

@@ -24,6 +24,7 @@ from bayeq.figures.terms import draw_terms
 from bayeq.forecast.score import percent, percentages
 from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
 from bayeq.markup import aligned, code, items, join, paragraph, table
+from bayeq.numerics.settings import EQUATION
 from bayeq.regression.design import COPY
 
 if TYPE_CHECKING:
@@ -261,7 +262,8 @@ def checks(eq: Answer) -> str:
         parts.append(f"a free run over them blew up at {moment(scores.blew_up_at, eq.roles.discrete)}")
     elif scores is not None and set(scores.free_run) - set(still):
         shown = {name: error for name, error in scores.free_run.items() if name not in still}
-        parts.append(f"free run within {percentages(shown)}")
+        lost = max(shown.values()) >= EQUATION.as_the_mean
+        parts.append(f"free run {'out of step, as small errors grow:' if lost else 'within'} {percentages(shown)}")
     if still:
         parts.append(f"{', '.join(still)} hardly move{'s' * (len(still) == 1)} there, which tests little")
     if not parts:
