@@ -577,3 +577,39 @@ def test_a_family_stands_for_its_series(bend):
         assert any("exp" in name for name in found_forms)
         assert any("x**2" in name for name in found_forms)
         assert "form undecided: " in brief(answer)
+
+
+def test_a_power_does_not_depend_on_units():
+    """In millimetres the derivative by the power is nearly the term itself: steps went the wrong way."""
+    record = oscillator(lambda x, v, t: -2.0 * np.sign(v) * np.abs(v) ** 2.7, n=500)
+    large = Record.from_arrays({name: 1000.0 * record[name] for name in "xvau"}, fs=100.0)
+    powers = [found(one, "x, v, u, sign(v)*abs(v)**{p}", holdout=0.0)[0].constants[0] for one in (record, large)]
+    assert powers[0].value == pytest.approx(2.7, abs=4.0 * powers[0].sd)
+    assert powers[1].value == pytest.approx(powers[0].value, abs=0.1 * powers[0].sd)
+
+
+@pytest.mark.parametrize("half", [1.5, 1.9])
+def test_a_saturation_is_found_beside_a_straight_line(half):
+    """Of values far above its constant, a line and a constant say nearly as much: the term itself must be tried."""
+    t, (c,), u = motion(
+        lambda _, y, u: u - 1.26 * y / (half + y), [3.0], lambda t: 1.3 + 0.6 * force(0.3 * t), 400, 66.0
+    )
+    rng = np.random.default_rng(5)
+    noisy = {"c": c + 0.01 * c.std() * rng.standard_normal(400), "u": u + 0.01 * u.std() * rng.standard_normal(400)}
+    eq = found(Record.from_arrays(noisy, time=t), "c, u, c/({K}+c)", chains="c", holdout=0.0)[0]
+    assert set(eq.shown) == {"u", "c/({K}+c)"}
+    assert eq.constants[0].value == pytest.approx(half, abs=4.0 * plain_sd(eq.constants[0]))
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_of_two_forms_of_a_clearance_the_one_without_a_constant_is_taken(seed):
+    """max(x + h, 0) = x + h + max(-x - h, 0): with negative gaps, another stiffness and a force the law is the same."""
+    record = oscillator(
+        lambda x, v, t: 300.0 * np.maximum(-x - 0.07, 0.0) - 150.0 * np.maximum(x - 0.05, 0.0), n=1000, seed=seed
+    )
+    candidates = "x, v, u, x**3, sign(v), v*abs(v), max(x-{g},0), max(-x-{h},0)"
+    eq = found(record, candidates, holdout=0.0)[0]
+    assert set(eq.shown) == {"x", "v", "u", "max(x-{g},0)", "max(-x-{h},0)"}
+    assert not eq.intercept_matters
+    for constant, true in zip(eq.constants, (0.05, 0.07), strict=True):
+        assert constant.value == pytest.approx(true, abs=4.0 * plain_sd(constant))

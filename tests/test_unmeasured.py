@@ -73,7 +73,7 @@ def test_why_it_cannot_be_integrated():
     )
     mixed = np.random.default_rng(0).permutation(record["a"])  # rows in no order, which are no time
     assert refused(bq.Record({"a": mixed}, name="run")).endswith("which needs a time column or fs")
-    still = record.with_channels({"a": np.where(t < 16.5, 1.0, record["a"]), "u": np.where(t < 16.5, 0.0, wave)})
+    still = record.with_channels({"a": np.where(t < 16.5, 1.0, record["a"]), "u": rng.normal(size=2000)})
     assert refused(still, inputs=["u"]) == (
         "run: training rows of chain '::a' cannot be smoothed: derivative 2 is constant: its noise cannot be estimated"
     )

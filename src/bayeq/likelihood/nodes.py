@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -96,7 +98,8 @@ def start_at(motion: Motion, task: Task, fitted: Fitted, node: GridNode) -> tupl
 def on_gram(task: Task, fitted: Fitted, family: Sequence[int], values: Sequence[Mapping[str, float]]) -> list[GridNode]:
     """Scores, by the likelihood about a fit, of other values of a family's constants; -inf where it is not finite.
 
-    Derivatives by its constants are added to each term, so that a node of a grid covers its neighbourhood.
+    Models have the terms of the family that the fit has, or else one of them in one equation, with derivatives by its
+    constants, so that a node of a grid covers its neighbourhood.
     """
     layout, P, C = task.layout, len(task.layout.terms), task.layout.chains
     names = [(j, name) for j in family for name in layout.terms[j].unknowns]
@@ -106,38 +109,67 @@ def on_gram(task: Task, fitted: Fitted, family: Sequence[int], values: Sequence[
         others += [terms[j] for j in family]
         others += [derivative(terms[j], name) for j, name in names]
     q, precision, odds = _beside(task, fitted, others, [*family, *(j for j, _ in names)])
-    wide, each = P + len(others) + 1, len(family) + len(names)
+    wide, each, held = P + len(others) + 1, len(family) + len(names), fitted.model.reshape(C, -1)
+    pairs = [(c, j) for c, j in itertools.product(range(C), family) if task.allowed[c, j]]
+    inside = [(c, j) for c, j in pairs if held[c, j]]
     out = []
     for k, one in enumerate(values):
         column = np.append(np.arange(P), wide - 1)
         column[list(family)] = P + k * each + np.arange(len(family))
         column = np.append(column, P + k * each + len(family) + np.arange(len(names)))
         at = (np.arange(C)[:, None] * wide + column).ravel()
-        known = odds[at].reshape(C, -1)
-        known[:, P + 1 :] = np.where(known[:, P + 1 :] > -np.inf, np.inf, -np.inf)
-        own = replace(task, precision=precision[at], log_odds=known.ravel())
-        try:
-            problem = own.problem(Quadratic(q.level, q.slope[at], q.information[np.ix_(at, at)]))
-        except np.linalg.LinAlgError:
-            out.append(GridNode(one, -math.inf, np.zeros(C * (P + 1), dtype=np.bool_), np.zeros(0), -math.inf))
-            continue
-        score, model = best_models(problem)[0]
-        same = np.hstack([fitted.model.reshape(C, -1), known[:, P + 1 :] > -np.inf]).ravel()
-        coef, _ = exact_posterior(problem, model, None)
-        theta = (coef / np.sqrt(own.precision)).reshape(C, -1)
-        found = model.reshape(C, -1)[:, : P + 1]
-        moved = {}
-        constants = constants_of(with_values(layout.terms, one))
-        for name in one:
-            pairs = [(j, P + 1 + i) for i, (j, other) in enumerate(names) if other == name]
-            size = np.array([theta[:, j] for j, _ in pairs])
-            square, constant = float(np.sum(size**2)), constants[name]
-            step = float(np.sum(size * np.array([theta[:, i] for _, i in pairs]))) / square if square else 0.0
-            step = float(np.clip(step, -1.0, 1.0)) * min(1.0, extent(constant) / NODES / max(abs(step), 1e-300))
-            moved[name] = bounded(constant, to_scale(constant, constant.value) + step)
-        before = float(scores_of(problem, same[None])[0])
-        out.append(GridNode(moved, score, found.ravel(), theta[:, : P + 1][found], before))
+        own = replace(task, precision=precision[at], log_odds=odds[at])
+        here = Quadratic(q.level, q.slope[at], q.information[np.ix_(at, at)])
+        found = [GridNode(one, -math.inf, np.zeros(C * (P + 1), dtype=np.bool_), np.zeros(0), -math.inf)]
+        for forced in [inside] if inside else [[pair] for pair in pairs]:
+            with suppress(np.linalg.LinAlgError):
+                found.append(_node(own, here, fitted, one, forced, names))
+        out.append(max(found, key=lambda node: node.score))
     return out
+
+
+def _node(
+    task: Task,
+    here: Quadratic,
+    fitted: Fitted,
+    values: Mapping[str, float],
+    forced: Sequence[tuple[int, int]],
+    names: Sequence[tuple[int, str]],
+) -> GridNode:
+    """A node where models have the terms `forced`, pairs of equation and term, and their derivatives by constants.
+
+    After its own terms the `task` has derivatives, of a term by a constant each, by `names`.
+    """
+    P, C = len(task.layout.terms), task.layout.chains
+    odds = task.log_odds.reshape(C, -1)
+    known, price = odds.copy(), 0.0
+    known[:, P + 1 :] = -np.inf
+    for c, j in forced:
+        price += float(odds[c, j])
+        known[c, [j, *(P + 1 + i for i, (own, _) in enumerate(names) if own == j)]] = np.inf
+    own = replace(task, log_odds=known.ravel())
+    problem = own.problem(here)
+    score, model = best_models(problem)[0]
+    coef, _ = exact_posterior(problem, model, None)
+    theta = (coef / np.sqrt(own.precision)).reshape(C, -1)
+    parts = here.information.reshape(C, known.shape[1], C, known.shape[1])
+    constants, moved = constants_of(with_values(task.layout.terms, values)), {}
+    for name in values:
+        change, size = [], []
+        for i, (j, other) in enumerate(names, P + 1):
+            for c in range(C) if other == name else ():
+                # a term's size with its derivative projected on it: for a power of numbers far from 1 the size at the
+                # node may have the other sign
+                change.append(theta[c, i])
+                size.append(theta[c, j] + theta[c, i] * parts[c, j, c, i] / max(parts[c, j, c, j], 1e-300))
+        square, constant = float(np.dot(size, size)), constants[name]
+        step = float(np.dot(size, change)) / square if square else 0.0
+        step = float(np.clip(step, -1.0, 1.0)) * min(1.0, extent(constant) / NODES / max(abs(step), 1e-300))
+        moved[name] = bounded(constant, to_scale(constant, constant.value) + step)
+    found, held = model.reshape(C, -1)[:, : P + 1], fitted.model.reshape(C, -1)
+    same = np.hstack([held, (known[:, P + 1 :] == np.inf) & all(held[c, j] for c, j in forced)])
+    before = float(scores_of(problem, same.ravel()[None])[0])
+    return GridNode(moved, score + price, found.ravel(), theta[:, : P + 1][found], before)
 
 
 def _beside(

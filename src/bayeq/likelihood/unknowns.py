@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from typing import NamedTuple
@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bayeq.arrays import Bools, Floats
+from bayeq.dictionary import evaluate_terms
 from bayeq.dictionary.ranges import (
     JUMP_NODES,
     ConstantEstimate,
@@ -82,6 +83,12 @@ ROUNDS, BETTER = 3, 0.5
 # more than this share of its standard deviation.
 STEPS, FARTHEST, NEAR = 12, 0.25, 0.05
 
+# Rounding of a sum of terms, as a share of its size.
+SAME = 1e-9
+
+# A step changes the logarithm of a coefficient by this at most.
+MOST_RESIZED = 20.0
+
 
 def with_constants(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fitted, Forms]:
     """A fit with its constants where they are likeliest, and the likeliest members of its choices.
@@ -124,6 +131,11 @@ def settled(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fitted]:
         task, fitted = moved(task, fitted, motion)
         for family in _sought(task):
             task, fitted = _elsewhere(motion, task, fitted, family)
+        for values in _exchanged(motion, task, fitted):
+            with suppress(np.linalg.LinAlgError):
+                family = [j for j, term in enumerate(task.layout.terms) if values.keys() & term.unknowns.keys()]
+                other = settle(*start_at(motion, task, fitted, on_gram(task, fitted, family, [values])[0]))
+                task, fitted = max((task, fitted), other, key=lambda one: one[1].evidence)
         if fitted is before or fitted.evidence < before.evidence + BETTER:
             break
     return task, fitted
@@ -195,9 +207,6 @@ def _elsewhere(motion: Motion, task: Task, fitted: Fitted, family: Sequence[int]
         return task, fitted
     here, *others = on_gram(task, fitted, family, [now, *tried])
     least = BETTER + (here.score if here.score < here.fitted + MISLEADS else here.fitted)
-    # in a model without the terms, derivatives by their constants could replace them at no cost: such nodes are skipped
-    present = [_holds(task, one.model, family) for one in others]
-    tried, others = list(itertools.compress(tried, present)), list(itertools.compress(others, present))
     peaks = [one for one in _peaks(tried, others) if one.score >= least]
     for node in sorted(peaks, key=lambda one: -one.score)[:PEAKS]:
         try:
@@ -208,6 +217,30 @@ def _elsewhere(motion: Motion, task: Task, fitted: Fitted, family: Sequence[int]
         if other[1].evidence > fitted.evidence + (0.0 if _holds(task, other[1].model, family) else BETTER):
             return other
     return task, fitted
+
+
+def _exchanged(motion: Motion, task: Task, fitted: Fitted) -> Iterator[dict[str, float]]:
+    """Exchanged values of the constants of two kinks, as of ``max(x - {g}, 0)`` and ``max(-x - {h}, 0)``.
+
+    With the variable and a constant the law is the same, as max(x + h, 0) = x + h + max(-x - h, 0), but one of the two
+    needs fewer terms, and a search that moves one constant at a time does not lead to it.
+    """
+    columns = motion.train[0].columns
+    held = [term for j, term in enumerate(task.layout.terms) if _holds(task, fitted.model, [j])]
+    for pair in itertools.combinations([term for term in held if len(term.unknowns) == 1], 2):
+        (g, first), (h, second) = (next(iter(term.unknowns.items())) for term in pair)
+        if g == h or len(pair[0].names) > 1 or pair[0].names != pair[1].names:
+            continue
+        affine = np.column_stack([columns[next(iter(pair[0].names))], np.ones(motion.train[0].n)])
+        for way in (1.0, -1.0):
+            rising, falling = evaluate_terms(with_values(pair, {g: first.value, h: way * first.value}), columns).T
+            for both in (rising - falling, rising + falling):
+                left = both - affine @ np.linalg.lstsq(affine, both)[0]
+                values = {g: way * second.value, h: way * first.value}
+                if np.ptp(left) <= SAME * np.ptp(rising) and all(
+                    one.low <= values[name] <= one.high for name, one in ((g, first), (h, second))
+                ):
+                    yield values
 
 
 def _holds(task: Task, model: Bools, family: Sequence[int]) -> bool:
@@ -319,22 +352,43 @@ def moved(task: Task, fitted: Fitted, motion: Motion | None = None) -> tuple[Tas
 
 
 def _step(task: Task, state: State) -> tuple[tuple[Task, State], float]:
-    """A Gauss-Newton step of a fit and its constants; how far the farthest of these goes, in standard deviations."""
+    """A Gauss-Newton step of a fit and its constants; how far the farthest of these goes, in standard deviations.
+
+    Coefficients are those likeliest at the former constants, in proportion to the size of their terms at the new ones:
+    a joint step may reverse their signs, as those of powers of numbers far from 1 change by orders of magnitude.
+    """
     own, wide, tangents = _with_tangents(task, state)
     linears = own.linearised(wide)
     levels, found = maximised(linears, wide, own.precision_of(wide), **COARSE)
     wide, _ = improved(own.layout, task.series, linears, replace(wide, levels=levels), found)
     theta, covariance, first = _as_one(tangents, wide.theta, found.covariance)
-    constants, farthest, values = constants_of(task.layout.terms), 0.0, {}
+    constants, farthest, values, steps = constants_of(task.layout.terms), 0.0, {}, {}
     for name, k in first.items():
         constant = constants[name]
         most = FARTHEST * extent(constant)
         step = min(max(float(theta[k]), -most), most)
         place = to_scale(constant, constant.value)
         values[name] = bounded(constant, place + step)
-        moved = abs(to_scale(constant, values[name]) - place)
-        farthest = max(farthest, moved / math.sqrt(float(covariance[k, k])))
-    return _at_values(task, replace(wide, chosen=state.chosen, theta=theta[: len(state.theta)]), values), farthest
+        steps[name] = to_scale(constant, values[name]) - place
+        farthest = max(farthest, abs(steps[name]) / math.sqrt(float(covariance[k, k])))
+    r, columns = len(state.theta), np.concatenate([one.terms for one in linears])
+    theta = theta[:r] - covariance[:r, r:] @ solved(covariance[r:, r:], theta[r:])
+    theta *= _resized(task, state, tangents, columns, steps)
+    return _at_values(task, replace(wide, chosen=state.chosen, theta=theta), values), farthest
+
+
+def _resized(
+    task: Task, state: State, tangents: Sequence[_Tangent], columns: Floats, steps: Mapping[str, float]
+) -> Floats:
+    """Factor of each coefficient, (r,), that keeps the size of terms where their constants move by `steps`; `columns`
+    (n, P + T + 1) are candidates and tangents along the path."""
+    terms, out = task.layout.terms, np.zeros(len(state.theta))
+    pairs = list(zip(state.chosen.chain.tolist(), state.chosen.term.tolist(), strict=True))
+    for k, (name, chain, _) in enumerate(tangents, len(terms)):
+        own = [i for i, (c, j) in enumerate(pairs) if c == chain and j < len(terms) and name in terms[j].unknowns]
+        sums = columns[:, state.chosen.term[own]] @ state.theta[own]
+        out[own] -= steps[name] * float(sums @ columns[:, k]) / max(float(sums @ sums), 1e-300)
+    return np.asarray(np.exp(np.clip(out, -MOST_RESIZED, MOST_RESIZED)))
 
 
 def _at_values(task: Task, state: State, values: Mapping[str, float]) -> tuple[Task, State]:
