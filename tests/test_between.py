@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from pathlib import Path
 
@@ -173,6 +174,15 @@ def test_a_coefficient_that_was_measured_before_is_sharper_and_a_wrong_one_is_to
     # the discrepancy takes up what a wrong damping leaves: what is printed is far from it, its posterior was near
     with pytest.warns(BayeqWarning, match=r"contradicts v ~ -3 \+- 0\.01: it says -[12]\.\d+"):
         bq.discover(record, constraints=["v ~ -3 +- 0.01"], **ask)
+    # from displacement alone the discrepancy takes up two thirds of what a wrong mass leaves
+    alone = {"chains": "x::", "inputs": ["u"], "holdout": 0.0, "dictionary": "x, dx, x**3, u"}
+    (free,) = bq.discover(simulate("duffing", n=900, fs=250.0, seed=1, noise=0.02), **alone)
+    with pytest.warns(BayeqWarning, match=r"contradicts u ~ 1\.1 ") as caught:
+        bq.discover(
+            simulate("duffing", n=900, fs=250.0, seed=1, noise=0.02), constraints=["u ~ 1.1 +- 0.001"], **alone
+        )
+    said = next(re.search(r"it says ([\d.]+)", str(one.message)) for one in caught if "it says" in str(one.message))
+    assert float(said[1]) == pytest.approx(free.shown_coef["u"], abs=0.004)
     with pytest.raises(InputError, match="likelihood of the record"):
         bq.discover(record, constraints=["u ~ 1 +- 0.1"], smooth="none", **ask)
 

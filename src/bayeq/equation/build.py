@@ -252,7 +252,7 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
         verdict = Verdict("nearly true", reason, f"check calibration and filters of {name}")
     beyond = selection.fit.beyond_bounds
     refused = [_beyond(name, *one) for name, one in beyond.items()]
-    refused += [text for text, _ in _against_stated(equation, selection)]
+    refused += [_stated(equation, *one) for one in _against_stated(equation, selection)]
     if refused and verdict.kind != "none":
         return Verdict("not determined", f"the record contradicts {some_of(refused, 60)}", "check units, or drop that")
     if isinstance(regression, RecordRegression) and regression.record.rivals and verdict.kind != "none":
@@ -286,8 +286,12 @@ def _beyond(name: str, end: float, free: float, sds: float) -> str:
     return f"{name} {'<=' if free > end else '>='} {end:.4g} by {in_digits(sds)} sd"
 
 
-def _against_stated(equation: Equation, selection: Selection) -> Iterator[tuple[str, float]]:
-    """Stated coefficients that the record contradicts, each with the estimate from the record alone."""
+def _stated(equation: Equation, j: int, mean: float, sd: float, _: float) -> str:
+    return f"{equation.posterior.names[j]} ~ {mean:.4g} +- {sd:.3g}"
+
+
+def _against_stated(equation: Equation, selection: Selection) -> Iterator[tuple[int, float, float, float]]:
+    """Stated coefficients that the record contradicts: term, mean, sd, and the estimate from the record alone."""
     posterior = equation.posterior
     known = posterior if posterior.projected is None else posterior.projected
     for j, mean, sd in selection.fit.constraints.stated:
@@ -297,7 +301,7 @@ def _against_stated(equation: Equation, selection: Selection) -> Iterator[tuple[
             continue
         value = (known.coef[j] * precision - mean * stated) / alone
         if abs(value - mean) > CONTRADICTED * math.hypot(sd, alone**-0.5):
-            yield f"{posterior.names[j]} ~ {mean:.4g} +- {sd:.3g}", float(value)
+            yield j, mean, sd, float(value)
 
 
 def _runners_up(fit: RegressionFit, posterior: Posterior) -> tuple[RunnerUp, ...]:
@@ -346,8 +350,11 @@ def warnings_of(equation: Equation, selection: Selection) -> Said:
     regression = selection.fit.regression
     if not regression.counts_rows and math.isnan(regression.exact):
         yield "whether the law is exact or only nearly true is not known: measure longer", ConvergenceWarning
-    for text, value in _against_stated(equation, selection):
-        yield f"the record contradicts {text}: it says {value:.4g}; check both, or drop that", DataWarning
+    for one in _against_stated(equation, selection):
+        record = regression.record if isinstance(regression, RecordRegression) else None
+        free = None if record is None else record.unstated(regression.k, one[0])
+        said = f"it says {one[-1] if free is None else free:.4g}"
+        yield f"the record contradicts {_stated(equation, *one)}: {said}; check both, or drop that", DataWarning
     force = _against(equation, regression.motion.roles.inputs)
     if force is not None:
         against = f"{force} acts against {equation.chain.names[0]}"

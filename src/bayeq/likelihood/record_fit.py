@@ -25,8 +25,8 @@ from bayeq.likelihood.fit import Quadratic, State, candidates, of_stated, solved
 from bayeq.likelihood.hidden import law_constants, with_laws_of
 from bayeq.likelihood.layout import Stated
 from bayeq.likelihood.levels import LEAST_NOISE
-from bayeq.likelihood.model import Fitted, Task, finished, fit, from_all_levels, of_motion, with_model
-from bayeq.likelihood.nodes import first_members
+from bayeq.likelihood.model import Fitted, Task, calmed, finished, fit, from_all_levels, of_motion, with_model
+from bayeq.likelihood.nodes import first_members, fresh
 from bayeq.likelihood.projection import Leftover, leftover
 from bayeq.likelihood.search import CLEARLY, Start, from_starts, resumed, search
 from bayeq.likelihood.spike import Nearly, Soft, among_fitted, among_neighbours, averaged, of_gram, soft_of
@@ -243,6 +243,21 @@ class RecordFit:
         """Estimated calibration factors of the channels in `gain_sd`, relative to the samples as measured."""
         with np.errstate(all="ignore"):
             return calibration_of(self._hardly_shrunk, self._unshrunk[0], self.fitted.power)
+
+    def unstated(self, c: int, j: int) -> float | None:
+        """Coefficient of term j in equation c, if it is in the model, by a fit without the stated coefficients.
+
+        The discrepancy takes up part of what contradicts these, so that an estimate from this fit would be too near
+        them. None if such a fit cannot be evaluated, and for conserved sums.
+        """
+        layout = replace(self.task.layout, stated=())
+        if self.task.flows is not None:
+            return None
+        with suppress(np.linalg.LinAlgError), np.errstate(all="ignore"):
+            state = from_all_levels(replace(self.task, layout=layout), calmed(fresh(self.fitted.state, layout))).state
+            at = np.flatnonzero((state.chosen.chain == c) & (state.chosen.term == j))
+            return float(state.theta[at[0]]) if len(at) else None
+        return None
 
     @property
     def _hardly_shrunk(self) -> Task:
