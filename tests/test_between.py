@@ -178,9 +178,7 @@ def test_a_coefficient_that_was_measured_before_is_sharper_and_a_wrong_one_is_to
     alone = {"chains": "x::", "inputs": ["u"], "holdout": 0.0, "dictionary": "x, dx, x**3, u"}
     (free,) = bq.discover(simulate("duffing", n=900, fs=250.0, seed=1, noise=0.02), **alone)
     with pytest.warns(BayeqWarning, match=r"contradicts u ~ 1\.1 ") as caught:
-        bq.discover(
-            simulate("duffing", n=900, fs=250.0, seed=1, noise=0.02), constraints=["u ~ 1.1 +- 0.001"], **alone
-        )
+        bq.discover(simulate("duffing", n=900, fs=250.0, seed=1, noise=0.02), constraints=["u ~ 1.1 +- 0.001"], **alone)
     said = next(re.search(r"it says ([\d.]+)", str(one.message)) for one in caught if "it says" in str(one.message))
     assert float(said[1]) == pytest.approx(free.shown_coef["u"], abs=0.004)
     with pytest.raises(InputError, match="likelihood of the record"):

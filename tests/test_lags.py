@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import warnings
 from dataclasses import replace
 
@@ -71,6 +72,12 @@ def test_without_it_the_damping_is_wrong(late, answer):
     told, untold = (abs(found / truth["v"] - 1.0) for found in damping)
     assert told < 0.03
     assert untold > 0.1
+
+
+def test_advice_names_the_lag_and_not_a_quarter_of_a_period(late):
+    """What a small lag leaves goes with the input's slope, whose correlation peaks a quarter of a period away."""
+    suspected = re.search(r"u may be ([\d.]+) s late", quietly(late[0])[0].verdict.advice)
+    assert float(suspected[1]) == pytest.approx(late[2], rel=0.1)
 
 
 @pytest.mark.parametrize("seed", [3, pytest.param(4, marks=pytest.mark.slow)])

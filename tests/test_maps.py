@@ -415,6 +415,25 @@ def test_chaos_does_not_speak_against_a_map(noise: float) -> None:
     assert "free runs over one period" in eq.verdict.reason
 
 
+@pytest.mark.parametrize(("u_noise", "kind"), [(0.0, "found"), (0.005, "not determined")])
+def test_a_factor_of_both_sides_is_told(u_noise: float, kind: str) -> None:
+    """Noise of a white input makes the residual a moving average, which a factor of both sides makes white noise."""
+    rng = np.random.default_rng(900652)
+    n, x, u = 400, np.zeros(400), rng.standard_normal(400)
+    b = rng.uniform(0.5, 1.0)
+    for k in range(1, n - 1):
+        x[k + 1] = 1.5 * x[k] - 0.7 * x[k - 1] + b * u[k] + 0.4 * u[k - 1]
+    noisy = {"x": x + 0.005 * x.std() * rng.standard_normal(n), "u": u + u_noise * u.std() * rng.standard_normal(n)}
+    dictionary = "x, x[-1], x[-2], u, u[-1], u[-2], x**2, x*u"
+    eq = bq.discover(bq.Record(noisy), chains="x", inputs="u", discrete=True, dictionary=dictionary)[0]
+    assert eq.verdict.kind == kind
+    if kind == "found":
+        assert set(eq.shown) == {"x", "x[-1]", "u", "u[-1]"}
+    else:
+        assert "both sides have the factor 1 - p/z, p = 0.52" in eq.verdict.reason
+        assert "--noise" in eq.verdict.advice
+
+
 # --- the command line ------------------------------------------------------------------------------------------------
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from bayeq.dictionary import slopes_of
 from bayeq.equation.answer import with_shown
+from bayeq.equation.cancelling import common_root
 from bayeq.equation.equation import Equation, RunnerUp
 from bayeq.equation.plan.information import likeliest_models
 from bayeq.equation.selection.alternatives import alternatives_to, bounds, undetermined
@@ -242,6 +243,8 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
     )
     late = _late(equation, regression.motion) if verdict.kind != "found" else None
     suspect = late or regression.suspect
+    if late is not None and regression.suspect is not None and regression.suspect[:2] == late[:2]:
+        suspect = regression.suspect  # what a small lag leaves goes with the input's slope: a quarter of a period late
     if suspect is not None and (late or verdict.kind in ("nearly true", "found") or verdict.advice == LONGER):
         seconds = [float(np.ptp(rows.time)) for rows in regression.motion.train if rows.time is not None]
         verdict = suspecting(verdict, suspect, max(seconds))
@@ -260,6 +263,11 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
         return Verdict("not determined", f"as likely with {other}", "give narrower ranges, as in {a: 0.1..1}")
     if verdict.kind in ("none", "not determined"):
         return verdict
+    root = common_root(equation)
+    if root is not None:
+        p = f"{root.real if root.imag == 0.0 else root:.3g}"
+        reason = f"both sides have the factor 1 - p/z, p = {p}, within its error: without it the motion is the same"
+        return Verdict("not determined", reason, "offer fewer earlier samples, or give the input's noise (--noise)")
     likelier = [one for one in equation.runners_up if one.log_odds > AMBIGUOUS]
     if likelier and not equation.left_out:
         reason = f"by another approximation {likelier[0]} is likelier (odds {likelier[0].odds})"
