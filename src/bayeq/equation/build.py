@@ -243,8 +243,9 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
     )
     late = _late(equation, regression.motion) if verdict.kind != "found" else None
     suspect = late or regression.suspect
-    if late is not None and regression.suspect is not None and regression.suspect[:2] == late[:2]:
-        suspect = regression.suspect  # what a small lag leaves goes with the input's slope: a quarter of a period late
+    # what a small lag leaves goes with a slope, and so seems to be a quarter of a period late: the likelihood knows it
+    if regression.suspect is not None and regression.suspect.off == "lag":
+        suspect = regression.suspect
     if suspect is not None and (late or verdict.kind in ("nearly true", "found") or verdict.advice == LONGER):
         seconds = [float(np.ptp(rows.time)) for rows in regression.motion.train if rows.time is not None]
         verdict = suspecting(verdict, suspect, max(seconds))
