@@ -80,6 +80,43 @@ def test_masses_in_a_row_are_offered_their_neighbours() -> None:
     assert "dictionary='neighbours'" in found.proposal.python
 
 
+def storeys(seed=0):
+    """Displacements [mm] against the ground and accelerations [m/s^2] of three storeys in their first mode, ground."""
+    rows = np.array([[1500.0, -700.0, 0.0], [-700.0, 1200.0, -500.0], [0.0, -625.0, 625.0]])
+    t, y, u = forced(lambda y, u: [*y[3:], *(-u - rows @ y[:3] - 0.002 * rows @ y[3:])], [0.0] * 6, seed=seed)
+    return t, 1e3 * y[:3], -rows @ y[:3] - 0.002 * rows @ y[3:], u
+
+
+def test_storeys_of_one_mode_are_coordinates_and_a_sensor_twice_is_not() -> None:
+    t, x, _, ground = storeys()
+    record = noisy(t, ag=ground, x1=x[0], x2=x[1], x3=x[2])
+    expected = "chains=['x1::', 'x2::', 'x3::'], inputs=['ag'], dictionary='neighbours')"
+    assert bq.info(record).proposal.python == f"bq.discover(record, {expected}"
+    twice = noisy(t, ag=ground, Floor_1=x[0], Floor_2=x[1], Floor_2_laser=x[1])
+    found = bq.info(bq.Record(twice.channels, t, dict.fromkeys(("Floor_1", "Floor_2", "Floor_2_laser"), "mm")))
+    assert found.guess.chains == (("Floor_1", None, None), ("Floor_2", None, None))
+    other = "--chain Floor_1:: --chain Floor_2:: --chain Floor_2_laser:: --input ag --dictionary neighbours"
+    assert f"Floor_2_laser is not used: it moves as Floor_2 does; as a coordinate: {other}" in found.proposal.notes
+    rounded = bq.Record(
+        {"F": ground, "Weg_1": x[0], "Weg_2": x[0].round(1)}, t, {"Weg_1": "mm", "Weg_2": "mm", "F": "N"}
+    )
+    assert bq.info(rounded).guess.chains == (("Weg_1", None, None),)
+
+
+def test_angles_of_two_inertias_are_neighbours_in_one_unit(tmp_path) -> None:
+    t, y, u = forced(
+        lambda y, u: [y[2], y[3], 50 * u - 6000 * (y[0] - y[1]) - y[2], 2400 * (y[0] - y[1]) - y[3]], [0.0] * 4
+    )
+    record = noisy(t, noise=0.0005, motor_angle=y[0], load_angle=np.degrees(y[1]), torque=u)
+    record = bq.Record(record.channels, t, {"motor_angle": "rad", "load_angle": "deg", "torque": "Nm"})
+    bq.write(record, tmp_path / "run.csv")
+    command = bq.info(tmp_path / "run.csv").proposal.command
+    assert command is not None
+    options = "--chain motor_angle:: --chain load_angle:: --input torque --dictionary neighbours"
+    assert command.endswith(f" --units 'load_angle=0.0174532925199 rad' {options}")
+    assert "load_angle is to be in the unit of the others: 0.0174532925199 rad" in bq.info(record).proposal.notes
+
+
 def test_derivatives_at_another_rate_name_that_rate() -> None:
     t, (x, v), u = forced(lambda y, u: [y[1], u - 0.5 * y[1] - 200.0 * y[0]], [0.0, 0.0])
     a = u - 0.5 * v - 200.0 * x

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
@@ -19,6 +19,7 @@ TITLES = {0: "displacement", 1: "velocity", 2: "acceleration", INPUT: "force or 
 LOADS = {*FORCES, "Nm", "kNm", "mNm"}
 ANGLES = {"rad", "mrad", "deg", "°", "rev", "rpm"}
 DEGREES = {"deg", "°"}
+NAMES_OF_ANGLES = {"th", "theta", "phi", "angle", "winkel"}
 WARMTH = {"°C", "K", "degC", "°F", "degF"}
 
 # Words of names in English, German, French, Spanish and Italian, in small letters without accents. Quantities take
@@ -44,7 +45,7 @@ SENSORS: Mapping[int, str] = {
 SYMBOLS: Mapping[int, str] = {
     0: "x y z q s d o th theta phi psi",
     1: "v w om omega xd xdot yd ydot zd zdot dx dy dz thd thdot dth",
-    2: "a xdd xddot ydd yddot zdd zddot ddx ddy ddz thdd thddot ddth",
+    2: "a ag xdd xddot ydd yddot zdd zddot ddx ddy ddz thdd thddot ddth",
     INPUT: "u f fx fy fz tau",
     REFERENCE: "r e",
 }
@@ -65,14 +66,16 @@ PLACES = (
     "base ground foundation fondation boden fundament sockel socle sol support shake shaking vibrante rutteltisch"
     " schwingtisch",
 )
+# Words of a base by themselves: Tischbeschleunigung may be that of a machine.
+BASES = {"ag"}
 # Words of this many letters are found at the beginning and the end of longer ones: Motorspannung, Kraftmessdose.
 COMPOUND = 5
 SENSOR_ENDS = re.compile(r"(?<=\w{3})(mess)?(aufnehmer|sensor|geber|dose|zelle|wert|signal|grosse)$")
 
 #: The largest correlation over all lags, by pair of channels.
 Alike = Mapping[frozenset[str], float]
-# Correlations from which two channels are the same signal but for a lag, and two inputs belong to one motor.
-SAME, ONE_INPUT = 0.98, 0.5
+# Correlation from which two inputs belong to one motor.
+ONE_INPUT = 0.5
 # A channel named like a force may be an acceleration if its fit to a second derivative exceeds this.
 EXACTLY = 0.999
 
@@ -85,10 +88,11 @@ class Clue:
     why: str  # the reason in words
     by_unit: bool  # whether the order comes from the unit, which is surer than a name
     index: str  # distinguishes channels of one kind: the numbers in its name, or else its other words
-    angle: bool  # whether it is an angle, by its unit or name
+    angle: bool | None  # whether it is of an angle, by its unit or name, or else of a length; None if unknown
     degrees: bool  # whether it is an angle in degrees
     symbol: bool = False  # whether the order comes from a symbol, which is less sure than a word
     rank: int = 0  # rank of an input: 0 measured force, 1 current, 2 command
+    base: bool = False  # whether its name is that of what the motion stands on
 
 
 @dataclass(frozen=True)
@@ -178,15 +182,13 @@ def clue_of(name: str, unit: str) -> Clue:
     by_name, tier, others = _order_of_name(parts)
     digits = "_".join(part for part in parts if part.isdigit())
     index = digits or "_".join(others)
-    angle = (
-        unit == "rad"
-        or unit in DEGREES
-        or (not unit and any(part in ("th", "theta", "phi", "angle", "winkel") for part in parts))
-    )
     by_unit = _order_of_unit(unit)
+    turns = bool(ANGLES & set(parse_unit(unit))) if unit else bool(NAMES_OF_ANGLES & set(parts))
+    angle = turns or (False if by_unit in (0, 1, 2) else None)
     order, why = (by_name, "its name") if by_unit is None else (by_unit, f"its unit {unit}")
     wanted, commands, measured, current = (bool(set(words.split()) & set(parts)) for words in KINDS)
     ambient, moved = (any(_is_place(part, words.split()) for part in parts) for words in PLACES)
+    moved |= bool(BASES & set(parts))
     rank = 2 if wanted or commands else 0 if measured or by_unit == INPUT else 1 if current else 2
     if (wanted and order != INPUT) or (commands and order in (0, 1, 2, STATE) and (by_unit is not None or not unit)):
         order, why = REFERENCE, "its name"
@@ -196,7 +198,8 @@ def clue_of(name: str, unit: str) -> Clue:
         order, why = STATE, "its name"
     sure = by_unit is not None and order == by_unit
     why = why if order is not None else ""
-    return Clue(order, why, sure, index, angle, unit in DEGREES, not sure and tier == 2, rank)
+    symbol = not sure and tier == 2 and not moved
+    return Clue(order, why, sure, index, angle, unit in DEGREES, symbol, rank, moved)
 
 
 def _order_of_unit(unit: str) -> int | None:
@@ -261,12 +264,14 @@ def guess_roles(
     links: Sequence[Link],
     first: Mapping[str, float],
     alike: Alike,
+    twins: Set[frozenset[str]],
     rough: set[str],
 ) -> Guess:
     """Assign channels that move to chains and inputs.
 
     `clues` are the roles by unit and name; `links` the derivatives found, the surest first; `first` the share of each
-    first-order state that channels explain; `alike` the correlations; `rough` the channels that look like noise.
+    first-order state that channels explain; `alike` the correlations; `twins` the pairs that measure one motion;
+    `rough` the channels that look like noise.
     """
     reasons: dict[str, str] = {}
     questions: list[str] = []
@@ -278,9 +283,9 @@ def guess_roles(
         if clues[name].symbol:  # R of S, I and R
             reasons[name] = f"may be a reference or an error, by its letter: if it is a state, --chain {name}"
     for k, name in enumerate(of_order[0]):
-        same = [other for other in of_order[0][:k] if alike.get(frozenset((name, other)), 0.0) > SAME]
+        same = [other for other in of_order[0][:k] if frozenset((name, other)) in twins]
         if same:
-            reasons[name] = f"moves as {same[0]} does; as a coordinate: --chain {same[0]}:: --chain {name}::"
+            reasons[name] = f"moves as {same[0]} does"
         elif name in rough and not rough.issuperset(n for n in names if clues[n].order == 0):
             reasons[name] = "jumps from row to row as noise does"
     inputs = []
