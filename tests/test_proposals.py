@@ -103,6 +103,19 @@ def test_storeys_of_one_mode_are_coordinates_and_a_sensor_twice_is_not() -> None
     assert bq.info(rounded).guess.chains == (("Weg_1", None, None),)
 
 
+@pytest.mark.parametrize("unit", ["g", ""])
+def test_accelerations_of_storeys_are_neighbours_and_may_be_absolute(unit) -> None:
+    t, _, a, ground = storeys()
+    record = noisy(t, Acc_ground=ground, Acc_1=a[0], Acc_2=a[1], Acc_3=a[2])
+    found = bq.info(bq.Record(record.channels, t, dict.fromkeys(record.channels, unit) if unit else {}))
+    expected = "chains=['::Acc_1', '::Acc_2', '::Acc_3'], inputs=['Acc_ground'], dictionary='neighbours')"
+    assert found.proposal.python == f"bq.discover(record, {expected}"
+    absolute = "the law is of motion against the base: if Acc_1, Acc_2, Acc_3 are absolute, subtract Acc_ground first"
+    assert absolute in str(found).replace("\n    ", " ")
+    alone = bq.info(bq.Record({name: record[name] for name in ("Acc_ground", "Acc_3")}, t))
+    assert "if Acc_3 is absolute, subtract Acc_ground first" in str(alone)
+
+
 def test_angles_of_two_inertias_are_neighbours_in_one_unit(tmp_path) -> None:
     t, y, u = forced(
         lambda y, u: [y[2], y[3], 50 * u - 6000 * (y[0] - y[1]) - y[2], 2400 * (y[0] - y[1]) - y[3]], [0.0] * 4

@@ -386,11 +386,11 @@ def _dictionary(guess: Guess, clues: Mapping[str, Clue], rows: int, levels: Coll
         powers = CUBIC if rows >= ROWS_PER_TERM * (math.comb(variables + 3, 3) - 1) else QUADRATIC
         return " + ".join([powers, *(f"sqrt({name})" for (name, *_) in guess.chains if name in levels)])
     if len(guess.chains) > 1:
-        low = [clues[chain[0]] for chain in guess.chains if chain[0] is not None]
+        low = [clues[next(name for name in chain if name is not None)] for chain in guess.chains]
         # without a unit they may be angles, as of a double pendulum, but not on a base
-        known = all(clue.by_unit for clue in low) or any(clues[name].base for name in guess.inputs)
-        row = known and len(low) == len(guess.chains) and len({clue.angle for clue in low}) == 1
-        return NEIGHBOURS if row else QUADRATIC
+        based = any(clues[name].base is not None for name in guess.inputs)
+        known = based or all(clue.by_unit or clue.order != 0 for clue in low)
+        return NEIGHBOURS if known and len({clue.angle for clue in low} - {None}) < 2 else QUADRATIC
     motion = guess.chains[0][0]
     if motion is not None and clues[motion].angle:
         angle = f"pi*{motion}/180" if clues[motion].degrees else motion
@@ -401,6 +401,10 @@ def _dictionary(guess: Guess, clues: Mapping[str, Clue], rows: int, levels: Coll
 def _say_undecided(guess: Guess, clues: Mapping[str, Clue], notes: list[str], options: Callable[..., str]) -> None:
     """Notes on questions and channels that are not used; `options` are those of the command with other chains."""
     notes += guess.questions
+    accelerations = [chain[-1] for chain in guess.chains if chain[:-1] == (None, None)]
+    for base in (name for name in guess.inputs if clues[name].base == 2 and len(accelerations) == len(guess.chains)):
+        those = some_of([str(name) for name in accelerations], 30) + (" are" if len(accelerations) > 1 else " is")
+        notes.append(f"the law is of motion against the base: if {those} absolute, subtract {base} first")
     second = len(guess.chains[0]) == 3 if guess.chains else False
     for name in (name for name in guess.undecided if name in guess.reasons):
         other = (

@@ -92,7 +92,7 @@ class Clue:
     degrees: bool  # whether it is an angle in degrees
     symbol: bool = False  # whether the order comes from a symbol, which is less sure than a word
     rank: int = 0  # rank of an input: 0 measured force, 1 current, 2 command
-    base: bool = False  # whether its name is that of what the motion stands on
+    base: int | None = None  # order of the motion, if its name is that of what the others stand on
 
 
 @dataclass(frozen=True)
@@ -189,17 +189,18 @@ def clue_of(name: str, unit: str) -> Clue:
     wanted, commands, measured, current = (bool(set(words.split()) & set(parts)) for words in KINDS)
     ambient, moved = (any(_is_place(part, words.split()) for part in parts) for words in PLACES)
     moved |= bool(BASES & set(parts))
+    base = order if moved and order in (0, 1, 2) else None
     rank = 2 if wanted or commands else 0 if measured or by_unit == INPUT else 1 if current else 2
     if (wanted and order != INPUT) or (commands and order in (0, 1, 2, STATE) and (by_unit is not None or not unit)):
         order, why = REFERENCE, "its name"
-    elif (order == STATE and ambient) or (order == 2 and moved):
+    elif (order == STATE and ambient) or base == 2:
         order, why = INPUT, "its name"
     elif by_name == STATE and order == 0:
         order, why = STATE, "its name"
     sure = by_unit is not None and order == by_unit
     why = why if order is not None else ""
-    symbol = not sure and tier == 2 and not moved
-    return Clue(order, why, sure, index, angle, unit in DEGREES, symbol, rank, moved)
+    symbol = not sure and tier == 2 and base is None
+    return Clue(order, why, sure, index, angle, unit in DEGREES, symbol, rank, base)
 
 
 def _order_of_unit(unit: str) -> int | None:
