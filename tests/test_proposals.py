@@ -116,6 +116,21 @@ def test_accelerations_of_storeys_are_neighbours_and_may_be_absolute(unit) -> No
     assert "if Acc_3 is absolute, subtract Acc_ground first" in str(alone)
 
 
+@pytest.mark.parametrize("name", ["shaker_table_acc", "Tisch_Beschl", "acc_floor0", "platform_acc"])
+def test_a_base_above_the_resonance_is_no_reversed_acceleration(name) -> None:
+    t, (x, v), ground = forced(lambda y, u: [y[1], -u - 0.7 * y[1] - 190.0 * y[0]], [0.0, 0.0], top=15.0)
+    record = noisy(t, **{name: ground / 9.80665, "roof_rel_disp": 1e3 * x, "roof_rel_vel": 1e3 * v})
+    found = bq.info(bq.Record(record.channels, t, {name: "g", "roof_rel_disp": "mm", "roof_rel_vel": "mm/s"}))
+    expected = f"displacement='roof_rel_disp', velocity='roof_rel_vel', force='{name}')"
+    assert found.proposal.python == f"bq.discover(record, {expected}"
+    assert ("is reversed: --vel roof_rel_vel" in str(found)) == (name == "platform_acc")
+    # of the same place it is reversed, and a base that alone moves is no base
+    own = bq.Record({"roof_disp": 1e3 * x, "roof_acc": (ground + 0.7 * v + 190.0 * x) / 9.80665}, t)
+    assert "opposite sign" in str(bq.info(own))
+    moving = bq.Record({"table_pos": x, "table_acc": -ground - 0.7 * v - 190.0 * x, "F": ground}, t, {"F": "N"})
+    assert bq.info(moving).guess.chains == (("table_pos", None, "table_acc"),)
+
+
 def test_angles_of_two_inertias_are_neighbours_in_one_unit(tmp_path) -> None:
     t, y, u = forced(
         lambda y, u: [y[2], y[3], 50 * u - 6000 * (y[0] - y[1]) - y[2], 2400 * (y[0] - y[1]) - y[3]], [0.0] * 4

@@ -67,7 +67,7 @@ PLACES = (
     " schwingtisch",
 )
 # Words of a base by themselves: Tischbeschleunigung may be that of a machine.
-BASES = {"ag"}
+BASES = {"ag", "table", "tisch"}
 # Words of this many letters are found at the beginning and the end of longer ones: Motorspannung, Kraftmessdose.
 COMPOUND = 5
 SENSOR_ENDS = re.compile(r"(?<=\w{3})(mess)?(aufnehmer|sensor|geber|dose|zelle|wert|signal|grosse)$")
@@ -160,14 +160,21 @@ def clues_of(units: Mapping[str, str]) -> dict[str, Clue]:
     """
     first = {name.rpartition("_")[0] for name in units}
     if len(units) < 2 or len(first) > 1:
-        return {name: clue_of(name, unit) for name, unit in units.items()}
+        return _on_a_base({name: clue_of(name, unit) for name, unit in units.items()})
     rest = {name: name.rpartition("_")[2] for name in units}
     said, tier, _ = _order_of_name(_parts("".join(first)))
     if said == INPUT and tier == 0 and all(name.isdigit() for name in rest.values()):
         return {name: clue_of(f"ch{rest[name]}", unit) for name, unit in units.items()}
     kinds = {_order_of_name(_parts(name))[0] for name in rest.values()}
     plain = said is None or (tier == 2 and None not in kinds and len(kinds) > 1)
-    return {name: clue_of(rest[name] if plain else name, unit) for name, unit in units.items()}
+    return _on_a_base({name: clue_of(rest[name] if plain else name, unit) for name, unit in units.items()})
+
+
+def _on_a_base(clues: Mapping[str, Clue]) -> dict[str, Clue]:
+    """Clues without an acceleration as an input if its base is all that moves, as the table of a machine."""
+    motions = [clue for clue in clues.values() if clue.order in (0, 1, 2)]
+    alone = bool(motions) and all(clue.base is not None for clue in motions)
+    return {name: replace(clue, order=2) if alone and clue.base == 2 else clue for name, clue in clues.items()}
 
 
 def clue_of(name: str, unit: str) -> Clue:
@@ -188,7 +195,7 @@ def clue_of(name: str, unit: str) -> Clue:
     order, why = (by_name, "its name") if by_unit is None else (by_unit, f"its unit {unit}")
     wanted, commands, measured, current = (bool(set(words.split()) & set(parts)) for words in KINDS)
     ambient, moved = (any(_is_place(part, words.split()) for part in parts) for words in PLACES)
-    moved |= bool(BASES & set(parts))
+    moved |= bool(BASES & set(parts)) or {"floor", "0"} <= set(parts)
     base = order if moved and order in (0, 1, 2) else None
     rank = 2 if wanted or commands else 0 if measured or by_unit == INPUT else 1 if current else 2
     if (wanted and order != INPUT) or (commands and order in (0, 1, 2, STATE) and (by_unit is not None or not unit)):
@@ -276,6 +283,7 @@ def guess_roles(
     """
     reasons: dict[str, str] = {}
     questions: list[str] = []
+    clues = _with_base(names, clues, links, questions)
     runs = _runs(_clear(_agreeing(links, clues), questions), reasons)
     linked = {name for run in runs for name in run if name is not None}
     of_order = {k: [n for n in names if clues[n].order == k and n not in linked] for k in (INPUT, REFERENCE, 0)}
@@ -297,7 +305,11 @@ def guess_roles(
             reasons[name] = f"moves as {nearest} does, which is nearer to the motion: they are one input"
             continue
         inputs.append(name)
-        like = [link.stands_for for link in links if link.above == name and clues[link.below].order != REFERENCE]
+        like = [
+            "-" * (link.gain < 0.0) + link.stands_for
+            for link in links
+            if link.above == name and clues[link.below].order != REFERENCE
+        ]
         reasons[name] = clues[name].why + "".join(f"; it moves as {motion} too" for motion in like[:1])
         questions += _exchanged(name, links, clues)
     rest = [name for name in names if name not in linked and name not in reasons]
@@ -320,6 +332,35 @@ def guess_roles(
     ordered = sorted(chains, key=lambda chain: min(names.index(name) for name in chain if name is not None))
     undecided = tuple(name for name in names if name not in used)
     return Guess(tuple(ordered), tuple(inputs), undecided, reasons, tuple(questions))
+
+
+def _with_base(
+    names: Sequence[str], clues: Mapping[str, Clue], links: Sequence[Link], questions: list[str]
+) -> Mapping[str, Clue]:
+    """Clues with the acceleration of a base as an input; without another input it may be known by its sign alone.
+
+    Above its resonance a mass stays behind, so that its motion against the base is the reverse of that of the base.
+    """
+    if any(clues[name].order == INPUT for name in names):
+        return clues
+    for link in links:
+        below, above = clues[link.below], clues[link.above]
+        places = [
+            {word for word in clue.index.split("_") if not word.isdigit() and all(word not in table for table in TIERS)}
+            for clue in (below, above)
+        ]
+        if (
+            link.gain < 0.0
+            and below.order in (0, 1)
+            and above.order == 2
+            and all(places)
+            and not set.intersection(*places)
+        ):
+            why = f"moves as -{link.stands_for}, at another place: as a base does above the resonance"
+            own = f"--{'vel' if below.order else 'disp'} {link.below} --acc {link.above} --scale {link.above}=-1"
+            questions.append(f"if {link.above} belongs to {link.below} and is reversed: {own}")
+            return {**clues, link.above: replace(above, order=INPUT, why=why, base=2)}
+    return clues
 
 
 def _exchanged(name: str, links: Sequence[Link], clues: Mapping[str, Clue]) -> list[str]:
