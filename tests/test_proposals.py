@@ -131,6 +131,17 @@ def test_a_base_above_the_resonance_is_no_reversed_acceleration(name) -> None:
     assert bq.info(moving).guess.chains == (("table_pos", None, "table_acc"),)
 
 
+@pytest.mark.parametrize("unit", ["rpm", "1/min", "deg/s"])
+def test_a_speed_of_rotation_is_no_derivative_of_a_length(unit) -> None:
+    t, (x, v), u = forced(lambda y, u: [y[1], u - 0.7 * y[1] - 190.0 * y[0]], [0.0, 0.0])
+    record = noisy(t, Brg_disp=1e6 * x, Brg_acc=u - 0.7 * v - 190.0 * x, Speed=1800 + 60 * t, Force=u)
+    units = {"Brg_disp": "um", "Brg_acc": "m/s^2", "Speed": unit, "Force": "N"}
+    found = bq.info(bq.Record(record.channels, t, units))
+    assert found.guess.chains == (("Brg_disp", None, "Brg_acc"),)
+    assert found.guess.inputs == ("Force",)
+    assert "not used: Speed; an input" in str(found)
+
+
 def test_angles_of_two_inertias_are_neighbours_in_one_unit(tmp_path) -> None:
     t, y, u = forced(
         lambda y, u: [y[2], y[3], 50 * u - 6000 * (y[0] - y[1]) - y[2], 2400 * (y[0] - y[1]) - y[3]], [0.0] * 4

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 
 from bayeq.inspection.links import CLEARLY, Link
-from bayeq.records.names import FORCES, in_si, parse_unit
+from bayeq.records.names import FORCES, REVOLUTIONS, in_si, parse_unit
 
 # Order of a channel: that of the derivative of its coordinate, 0 to 2, or input, reference, first-order state.
 INPUT, REFERENCE, STATE = -1, -2, -3
@@ -190,7 +190,8 @@ def clue_of(name: str, unit: str) -> Clue:
     digits = "_".join(part for part in parts if part.isdigit())
     index = digits or "_".join(others)
     by_unit = _order_of_unit(unit)
-    turns = bool(ANGLES & set(parse_unit(unit))) if unit else bool(NAMES_OF_ANGLES & set(parts))
+    turns = not unit and bool(NAMES_OF_ANGLES & set(parts))
+    turns |= unit in REVOLUTIONS or bool(ANGLES & set(parse_unit(unit)))
     angle = turns or (False if by_unit in (0, 1, 2) else None)
     order, why = (by_name, "its name") if by_unit is None else (by_unit, f"its unit {unit}")
     wanted, commands, measured, current = (bool(set(words.split()) & set(parts)) for words in KINDS)
@@ -494,6 +495,7 @@ def _chains(
             chain
             for chain, other in zip(chains, indices, strict=True)
             if chain[order] is None
+            and not {True, False} <= {clues[n].angle for n in (name, *chain) if n is not None}
             and (index == other or (len(chains) == 1 and counts[order] == 1) or (alone and not found))
         ]
         if not fits and index not in indices:
