@@ -142,6 +142,17 @@ def test_a_speed_of_rotation_is_no_derivative_of_a_length(unit) -> None:
     assert "not used: Speed; an input" in str(found)
 
 
+@pytest.mark.parametrize(("name", "unit"), [("base_laser", "mm"), ("Weg_Fundament", "mm"), ("table_disp", "")])
+def test_the_displacement_of_a_base_is_an_input(name, unit) -> None:
+    t, (x, _), u = forced(lambda y, u: [y[1], -0.7 * y[1] - 190.0 * (y[0] - u)], [0.0, 0.0], top=8.0)
+    record = noisy(t, **{name: u, "roof_laser": x})
+    units = {"roof_laser": "mm", **({name: unit} if unit else {})}
+    found = bq.info(bq.Record(record.channels, t, units))
+    assert found.proposal.python == f"bq.discover(record, displacement='roof_laser', force='{name}')"
+    alone = bq.info(bq.Record({name: x, "F": u}, t, {"F": "N"}))
+    assert alone.guess.chains == ((name, None, None),)
+
+
 def test_angles_of_two_inertias_are_neighbours_in_one_unit(tmp_path) -> None:
     t, y, u = forced(
         lambda y, u: [y[2], y[3], 50 * u - 6000 * (y[0] - y[1]) - y[2], 2400 * (y[0] - y[1]) - y[3]], [0.0] * 4

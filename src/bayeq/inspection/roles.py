@@ -171,10 +171,20 @@ def clues_of(units: Mapping[str, str]) -> dict[str, Clue]:
 
 
 def _on_a_base(clues: Mapping[str, Clue]) -> dict[str, Clue]:
-    """Clues without an acceleration as an input if its base is all that moves, as the table of a machine."""
+    """Clues with the displacement of a base as an input if another is there.
+
+    Where the base is all that moves, as the table of a machine, its acceleration is no input.
+    """
     motions = [clue for clue in clues.values() if clue.order in (0, 1, 2)]
     alone = bool(motions) and all(clue.base is not None for clue in motions)
-    return {name: replace(clue, order=2) if alone and clue.base == 2 else clue for name, clue in clues.items()}
+    borne = any(clue.order == 0 and clue.base is None for clue in motions)
+    out = dict(clues)
+    for name, clue in clues.items():
+        if borne and clue.base == clue.order == 0 and not clue.angle:
+            out[name] = replace(clue, order=INPUT, why="its name", by_unit=False)
+        elif alone and clue.base == 2:
+            out[name] = replace(clue, order=2)
+    return out
 
 
 def clue_of(name: str, unit: str) -> Clue:
