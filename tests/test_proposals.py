@@ -92,6 +92,8 @@ def test_storeys_of_one_mode_are_coordinates_and_a_sensor_twice_is_not() -> None
     record = noisy(t, ag=ground, x1=x[0], x2=x[1], x3=x[2])
     expected = "chains=['x1::', 'x2::', 'x3::'], inputs=['ag'], dictionary='neighbours')"
     assert bq.info(record).proposal.python == f"bq.discover(record, {expected}"
+    delayed = bq.Record({"F": ground, "Weg_1": x[0], "Weg_2": np.roll(x[0], 3)}, t)
+    assert "Weg_2 moves nearly as Weg_1 does: if both measure one point" in str(bq.info(delayed))
     twice = noisy(t, ag=ground, Floor_1=x[0], Floor_2=x[1], Floor_2_laser=x[1])
     found = bq.info(bq.Record(twice.channels, t, dict.fromkeys(("Floor_1", "Floor_2", "Floor_2_laser"), "mm")))
     assert found.guess.chains == (("Floor_1", None, None), ("Floor_2", None, None))

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
-from bayeq.inspection.links import CLEARLY, Link
+from bayeq.inspection.links import CLEARLY, SAME, Link
 from bayeq.records.names import FORCES, REVOLUTIONS, in_si, parse_unit
 
 # Order of a channel: that of the derivative of its coordinate, 0 to 2, or input, reference, first-order state.
@@ -308,6 +308,9 @@ def guess_roles(
             reasons[name] = f"moves as {same[0]} does"
         elif name in rough and not rough.issuperset(n for n in names if clues[n].order == 0):
             reasons[name] = "jumps from row to row as noise does"
+        near = [other for other in of_order[0][:k] if alike.get(frozenset((name, other)), 0.0) > SAME]
+        if near and name not in reasons:
+            questions.append(f"{name} moves nearly as {near[0]} does: if both measure one point, leave one out")
     inputs = []
     for name in of_order[INPUT]:
         one = [other for other in of_order[INPUT] if alike.get(frozenset((name, other)), 0.0) > ONE_INPUT]
