@@ -80,6 +80,95 @@ def test_masses_in_a_row_are_offered_their_neighbours() -> None:
     assert "dictionary='neighbours'" in found.proposal.python
 
 
+def storeys(seed=0):
+    """Displacements [mm] against the ground and accelerations [m/s^2] of three storeys in their first mode, ground."""
+    rows = np.array([[1500.0, -700.0, 0.0], [-700.0, 1200.0, -500.0], [0.0, -625.0, 625.0]])
+    t, y, u = forced(lambda y, u: [*y[3:], *(-u - rows @ y[:3] - 0.002 * rows @ y[3:])], [0.0] * 6, seed=seed)
+    return t, 1e3 * y[:3], -rows @ y[:3] - 0.002 * rows @ y[3:], u
+
+
+def test_storeys_of_one_mode_are_coordinates_and_a_sensor_twice_is_not() -> None:
+    t, x, _, ground = storeys()
+    record = noisy(t, ag=ground, x1=x[0], x2=x[1], x3=x[2])
+    expected = "chains=['x1::', 'x2::', 'x3::'], inputs=['ag'], dictionary='neighbours')"
+    assert bq.info(record).proposal.python == f"bq.discover(record, {expected}"
+    delayed = bq.Record({"F": ground, "Weg_1": x[0], "Weg_2": np.roll(x[0], 3)}, t)
+    assert "Weg_2 moves nearly as Weg_1 does: if both measure one point" in str(bq.info(delayed))
+    twice = noisy(t, ag=ground, Floor_1=x[0], Floor_2=x[1], Floor_2_laser=x[1])
+    found = bq.info(bq.Record(twice.channels, t, dict.fromkeys(("Floor_1", "Floor_2", "Floor_2_laser"), "mm")))
+    assert found.guess.chains == (("Floor_1", None, None), ("Floor_2", None, None))
+    other = "--chain Floor_1:: --chain Floor_2:: --chain Floor_2_laser:: --input ag --dictionary neighbours"
+    assert f"Floor_2_laser is not used: it moves as Floor_2 does; as a coordinate: {other}" in found.proposal.notes
+    rounded = bq.Record(
+        {"F": ground, "Weg_1": x[0], "Weg_2": x[0].round(1)}, t, {"Weg_1": "mm", "Weg_2": "mm", "F": "N"}
+    )
+    assert bq.info(rounded).guess.chains == (("Weg_1", None, None),)
+
+
+@pytest.mark.parametrize("unit", ["g", ""])
+def test_accelerations_of_storeys_are_neighbours_and_may_be_absolute(unit) -> None:
+    t, _, a, ground = storeys()
+    record = noisy(t, Acc_ground=ground, Acc_1=a[0], Acc_2=a[1], Acc_3=a[2])
+    found = bq.info(bq.Record(record.channels, t, dict.fromkeys(record.channels, unit) if unit else {}))
+    expected = "chains=['::Acc_1', '::Acc_2', '::Acc_3'], inputs=['Acc_ground'], dictionary='neighbours')"
+    assert found.proposal.python == f"bq.discover(record, {expected}"
+    absolute = "the law is of motion against the base: if Acc_1, Acc_2, Acc_3 are absolute, subtract Acc_ground first"
+    assert absolute in str(found).replace("\n    ", " ")
+    alone = bq.info(bq.Record({name: record[name] for name in ("Acc_ground", "Acc_3")}, t))
+    assert "if Acc_3 is absolute, subtract Acc_ground first" in str(alone)
+
+
+@pytest.mark.parametrize("name", ["shaker_table_acc", "Tisch_Beschl", "acc_floor0", "platform_acc"])
+def test_a_base_above_the_resonance_is_no_reversed_acceleration(name) -> None:
+    t, (x, v), ground = forced(lambda y, u: [y[1], -u - 0.7 * y[1] - 190.0 * y[0]], [0.0, 0.0], top=15.0)
+    record = noisy(t, **{name: ground / 9.80665, "roof_rel_disp": 1e3 * x, "roof_rel_vel": 1e3 * v})
+    found = bq.info(bq.Record(record.channels, t, {name: "g", "roof_rel_disp": "mm", "roof_rel_vel": "mm/s"}))
+    expected = f"displacement='roof_rel_disp', velocity='roof_rel_vel', force='{name}')"
+    assert found.proposal.python == f"bq.discover(record, {expected}"
+    assert ("is reversed: --vel roof_rel_vel" in str(found)) == (name == "platform_acc")
+    # of the same place it is reversed, and a base that alone moves is no base
+    own = bq.Record({"roof_disp": 1e3 * x, "roof_acc": (ground + 0.7 * v + 190.0 * x) / 9.80665}, t)
+    assert "opposite sign" in str(bq.info(own))
+    moving = bq.Record({"table_pos": x, "table_acc": -ground - 0.7 * v - 190.0 * x, "F": ground}, t, {"F": "N"})
+    assert bq.info(moving).guess.chains == (("table_pos", None, "table_acc"),)
+
+
+@pytest.mark.parametrize("unit", ["rpm", "1/min", "deg/s"])
+def test_a_speed_of_rotation_is_no_derivative_of_a_length(unit) -> None:
+    t, (x, v), u = forced(lambda y, u: [y[1], u - 0.7 * y[1] - 190.0 * y[0]], [0.0, 0.0])
+    record = noisy(t, Brg_disp=1e6 * x, Brg_acc=u - 0.7 * v - 190.0 * x, Speed=1800 + 60 * t, Force=u)
+    units = {"Brg_disp": "um", "Brg_acc": "m/s^2", "Speed": unit, "Force": "N"}
+    found = bq.info(bq.Record(record.channels, t, units))
+    assert found.guess.chains == (("Brg_disp", None, "Brg_acc"),)
+    assert found.guess.inputs == ("Force",)
+    assert "not used: Speed; an input" in str(found)
+
+
+@pytest.mark.parametrize(("name", "unit"), [("base_laser", "mm"), ("Weg_Fundament", "mm"), ("table_disp", "")])
+def test_the_displacement_of_a_base_is_an_input(name, unit) -> None:
+    t, (x, _), u = forced(lambda y, u: [y[1], -0.7 * y[1] - 190.0 * (y[0] - u)], [0.0, 0.0], top=8.0)
+    record = noisy(t, **{name: u, "roof_laser": x})
+    units = {"roof_laser": "mm", **({name: unit} if unit else {})}
+    found = bq.info(bq.Record(record.channels, t, units))
+    assert found.proposal.python == f"bq.discover(record, displacement='roof_laser', force='{name}')"
+    alone = bq.info(bq.Record({name: x, "F": u}, t, {"F": "N"}))
+    assert alone.guess.chains == ((name, None, None),)
+
+
+def test_angles_of_two_inertias_are_neighbours_in_one_unit(tmp_path) -> None:
+    t, y, u = forced(
+        lambda y, u: [y[2], y[3], 50 * u - 6000 * (y[0] - y[1]) - y[2], 2400 * (y[0] - y[1]) - y[3]], [0.0] * 4
+    )
+    record = noisy(t, noise=0.0005, motor_angle=y[0], load_angle=np.degrees(y[1]), torque=u)
+    record = bq.Record(record.channels, t, {"motor_angle": "rad", "load_angle": "deg", "torque": "Nm"})
+    bq.write(record, tmp_path / "run.csv")
+    command = bq.info(tmp_path / "run.csv").proposal.command
+    assert command is not None
+    options = "--chain motor_angle:: --chain load_angle:: --input torque --dictionary neighbours"
+    assert command.endswith(f" --units 'load_angle=0.0174532925199 rad' {options}")
+    assert "load_angle is to be in the unit of the others: 0.0174532925199 rad" in bq.info(record).proposal.notes
+
+
 def test_derivatives_at_another_rate_name_that_rate() -> None:
     t, (x, v), u = forced(lambda y, u: [y[1], u - 0.5 * y[1] - 200.0 * y[0]], [0.0, 0.0])
     a = u - 0.5 * v - 200.0 * x

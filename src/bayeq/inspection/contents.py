@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 import textwrap
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -291,6 +291,9 @@ CUBIC, QUADRATIC = "polynomial:3", "polynomial:2"
 NEIGHBOURS = "neighbours"
 ROWS_PER_TERM = 10
 
+# What is asked for: the option of the command, the argument of `discover`, and the value or values of both.
+Asked = list[tuple[str, str, str | list[str]]]
+
 
 def propose(
     guess: Guess, clues: Mapping[str, Clue], reading: Reading, rows: int, levels: Collection[str] = ()
@@ -311,22 +314,24 @@ def propose(
         notes.append(
             "DISPLACEMENT: no channel says what it is; write it, and --vel, --acc, --force (first order: --chain NAME)"
         )
-    asked = _roles(guess)
-    dictionary = _dictionary(guess, clues, rows, levels)
-    if dictionary is not None:
-        asked.append(("--dictionary", "dictionary", dictionary))
-    _say_undecided(guess, clues, notes)
+
+    paths = {name: f"{name}={path}" for name, path in reading.channels.items() if name != path}
+
+    def asked_of(guess: Guess) -> Asked:
+        dictionary = _dictionary(guess, clues, rows, levels)
+        return _roles(guess) + ([("--dictionary", "dictionary", dictionary)] if dictionary is not None else [])
+
+    asked = asked_of(guess)
+    _say_undecided(
+        guess, clues, notes, lambda *chains: shlex.join(_words(asked_of(replace(guess, chains=chains)), paths))
+    )
     command = None
     if reading.files:
         files = [name if not name.startswith("-") else f"./{name}" for name in reading.files]
         words = ["bayeq", "discover", *files]
-        paths = {name: f"{name}={path}" for name, path in reading.channels.items() if name != path}
         for pair in _reading_options(reading):
             words += pair
-        for option, _, value in asked:
-            for one in [value] if isinstance(value, str) else value:
-                words += [option, ":".join(paths.get(name, name) for name in one.split(":"))]
-        command = shlex.join(words)
+        command = shlex.join(words + _words(asked, paths))
     complete = reading.clocked and bool(guess.chains) and not reading.unnumbered
     arguments = ", ".join(f"{argument}={value!r}" for _, argument, value in asked)
     return Proposal(command, f"bq.discover({_read_in_python(reading)}, {arguments})", complete, tuple(notes))
@@ -348,9 +353,15 @@ def _reading_options(reading: Reading) -> list[tuple[str, str]]:
     return out
 
 
-def _roles(guess: Guess) -> list[tuple[str, str, str | list[str]]]:
-    """Chains and inputs: the option of the command, the argument of `discover`, and the value or values of both."""
-    out: list[tuple[str, str, str | list[str]]] = []
+def _words(asked: Asked, paths: Mapping[str, str]) -> list[str]:
+    """Options for a shell, with a channel's path in the place of its name."""
+    each = ((option, one) for option, _, value in asked for one in ([value] if isinstance(value, str) else value))
+    return [w for option, one in each for w in (option, ":".join(paths.get(name, name) for name in one.split(":")))]
+
+
+def _roles(guess: Guess) -> Asked:
+    """Options of chains and inputs."""
+    out: Asked = []
     if not guess.chains:
         out.append(("--disp", "displacement", "DISPLACEMENT"))
     elif len(guess.chains) == 1 and len(guess.chains[0]) == 3:
@@ -375,9 +386,11 @@ def _dictionary(guess: Guess, clues: Mapping[str, Clue], rows: int, levels: Coll
         powers = CUBIC if rows >= ROWS_PER_TERM * (math.comb(variables + 3, 3) - 1) else QUADRATIC
         return " + ".join([powers, *(f"sqrt({name})" for (name, *_) in guess.chains if name in levels)])
     if len(guess.chains) > 1:
-        low = [chain[0] for chain in guess.chains if chain[0] is not None]
-        lengths = all(clues[name].by_unit and not clues[name].angle for name in low)
-        return NEIGHBOURS if lengths and len(low) == len(guess.chains) else QUADRATIC
+        low = [clues[next(name for name in chain if name is not None)] for chain in guess.chains]
+        # without a unit they may be angles, as of a double pendulum, but not on a base
+        based = any(clues[name].base is not None for name in guess.inputs)
+        known = based or all(clue.by_unit or clue.order != 0 for clue in low)
+        return NEIGHBOURS if known and len({clue.angle for clue in low} - {None}) < 2 else QUADRATIC
     motion = guess.chains[0][0]
     if motion is not None and clues[motion].angle:
         angle = f"pi*{motion}/180" if clues[motion].degrees else motion
@@ -385,19 +398,28 @@ def _dictionary(guess: Guess, clues: Mapping[str, Clue], rows: int, levels: Coll
     return None
 
 
-def _say_undecided(guess: Guess, clues: Mapping[str, Clue], notes: list[str]) -> None:
+def _say_undecided(guess: Guess, clues: Mapping[str, Clue], notes: list[str], options: Callable[..., str]) -> None:
+    """Notes on questions and channels that are not used; `options` are those of the command with other chains."""
     notes += guess.questions
-    notes += [f"{name} is not used: it {guess.reasons[name]}" for name in guess.undecided if name in guess.reasons]
+    accelerations = [chain[-1] for chain in guess.chains if chain[:-1] == (None, None)]
+    for base in (name for name in guess.inputs if clues[name].base == 2 and len(accelerations) == len(guess.chains)):
+        those = some_of([str(name) for name in accelerations], 30) + (" are" if len(accelerations) > 1 else " is")
+        notes.append(f"the law is of motion against the base: if {those} absolute, subtract {base} first")
+    second = len(guess.chains[0]) == 3 if guess.chains else False
+    for name in (name for name in guess.undecided if name in guess.reasons):
+        other = (
+            f"; as a coordinate: {options(*guess.chains, (name, None, None))}"
+            if second and clues[name].order == 0
+            else ""
+        )
+        notes.append(f"{name} is not used: it {guess.reasons[name]}{other}")
     open_ = [name for name in guess.undecided if name not in guess.reasons]
     if open_ and guess.chains:
-        order = clues[open_[0]].order
-        before, after = {1: (":", ":"), 2: ("::", "")}.get(-1 if order is None else order, ("", "::"))
-        what = "a coordinate"
-        if len(guess.chains[0]) == 1:
-            before, after, what = "", "", "a state"
+        place = {1: 1, 2: 2}.get(clues[open_[0]].order or 0, 0)
+        own = tuple(open_[0] if k == place else None for k in range(3)) if second else (open_[0],)
         notes.append(
-            f"not used: {some_of(open_, 30)}; an input: --input {shlex.quote(open_[0])}; {what} of its own:"
-            f" --chain {shlex.quote(before + open_[0] + after)}"
+            f"not used: {some_of(open_, 30)}; an input: --input {shlex.quote(open_[0])};"
+            f" {'a coordinate' if second else 'a state'} of its own: {options(own, *guess.chains)}"
         )
     elif guess.chains and not guess.inputs:
         notes.append("no channel is known to be a force: without one the motion is taken as free")

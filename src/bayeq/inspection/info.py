@@ -25,13 +25,14 @@ from bayeq.inspection.links import (
     first_order,
     rough_channels,
     short_record,
+    twins,
 )
 from bayeq.inspection.roles import INPUT, REFERENCE, Guess, clues_of, guess_roles, names_level
 from bayeq.inspection.rows import Experiments, find_bad, gaps_of, sort_rows, starts_from_rest
 from bayeq.records import Record, as_record, check_record, read
 from bayeq.records.findings import Finding, without_copies
 from bayeq.records.formats.nested import SHORT
-from bayeq.records.names import is_time_name, time_unit
+from bayeq.records.names import conversion, gain_and_unit, is_time_name, time_unit
 from bayeq.records.record import with_only
 from bayeq.states.bad_samples import ADVICE
 from bayeq.states.prepare import without_impossible
@@ -174,7 +175,7 @@ def _described(experiments: Experiments, name: str, reading: Reading) -> RecordI
     free = [key for key in moving if key not in derived and clues[key].order not in other and not clues[key].by_unit]
     first = first_order(short, free, [key for key in moving if clues[key].order == INPUT])
     alike = correlations(short, moving)
-    guess = guess_roles(moving, clues, links, first, alike, rough_channels(short, moving))
+    guess = guess_roles(moving, clues, links, first, alike, twins(short, alike), rough_channels(short, moving))
     second = [chain for chain in guess.chains if len(chain) == 3]
     if len(second) == 1 and not guess.inputs:
         unknown = [key for key in guess.undecided if clues[key].order is None]
@@ -188,10 +189,15 @@ def _described(experiments: Experiments, name: str, reading: Reading) -> RecordI
     # angles without a unit beyond -2 pi and 2 pi: in rad they would turn back and forth by whole turns
     whole = {key for key, one in channels.items() if one.least < -2.0 * math.pi and one.greatest > 2.0 * math.pi}
     turning = [key for key in moving if clues[key].angle and not channels[key].unit and key in whole]
-    reading = replace(reading, units={**reading.units, **dict.fromkeys(turning, "deg")})
+    units = {**reading.units, **dict.fromkeys(turning, "deg")}
+    one_unit = dict(_in_one_unit(guess, channels, units))
+    reading = replace(reading, units={**units, **one_unit})
     clues = {key: replace(clue, degrees=clue.degrees or key in turning) for key, clue in clues.items()}
     how = "turns to and fro by more than 2 pi: taken in degrees; of radians leave out --units"
-    said = (f"{key} {how}" for key in turning)
+    said = [f"{key} {how}" for key in turning]
+    said += (
+        [] if reading.files else [f"{key} is to be in the unit of the others: {one}" for key, one in one_unit.items()]
+    )
     guess = replace(guess, questions=(*guess.questions, *said))
     for finding in checks:
         if finding.kind == "exchanged":
@@ -216,8 +222,21 @@ def _described(experiments: Experiments, name: str, reading: Reading) -> RecordI
         reading=reading,
     )
     parts = (_on_time, _on_experiments, _on_channels, _on_bad_samples)
-    said = (text for part in parts for text in part(made))
-    return replace(made, findings=(*said, *impossible, *(one.message for one in checks)))
+    noticed = (text for part in parts for text in part(made))
+    return replace(made, findings=(*noticed, *impossible, *(one.message for one in checks)))
+
+
+def _in_one_unit(
+    guess: Guess, channels: Mapping[str, ChannelInfo], stated: Mapping[str, str]
+) -> Iterator[tuple[str, str]]:
+    """Units by which channels of several masses, of which differences are taken, get the unit of the first mass."""
+    for alike in zip(*guess.chains, strict=False) if len(guess.chains) > 1 and len(guess.chains[0]) == 3 else ():
+        known = [(name, channels[name].unit) for name in alike if name is not None and channels[name].unit]
+        for name, unit in known[1:]:
+            factor = conversion(unit, known[0][1])
+            if factor not in (None, 1.0):
+                gain, _ = gain_and_unit(stated.get(name, ""))
+                yield name, f"{gain * factor:.12g} {known[0][1]}"
 
 
 def _levels(channels: Mapping[str, ChannelInfo]) -> set[str]:

@@ -62,6 +62,9 @@ LEAST_ROWS = 16
 # A channel drives a motion if it explains this share of the residual of the states and their products.
 DRIVES = 0.5
 
+# Correlation, at any lag, of two channels that may measure one motion.
+SAME = 0.98
+
 # Length of the windows as a share of the period of the fastest state.
 WINDOW = 1 / 8
 
@@ -221,9 +224,31 @@ def correlations(record: Record, names: Sequence[str]) -> dict[frozenset[str], f
     }
 
 
+def twins(record: Record, alike: Mapping[frozenset[str], float]) -> set[frozenset[str]]:
+    """Pairs of channels that measure one motion: correlated, and what is left of one given the other is no motion.
+
+    It is noise, or at most a level of the coarser one. Masses in one mode are as well correlated, but a motion is left.
+    The rate stands for a lag; its own derivative would stand for the inertia of a second mass.
+    """
+    out = set()
+    for pair in (pair for pair, largest in alike.items() if largest > SAME):
+        p, q = _scaled(record, sorted(pair)).values()
+        terms = np.column_stack([np.ones(len(p)), p, np.gradient(p)])
+        rest = q - terms @ np.linalg.lstsq(terms, q, rcond=None)[0]
+        level = max(float(np.diff(np.unique(values)).min()) for values in (p, q))
+        if _is_rough(rest) or float(np.abs(rest).max()) <= level:
+            out.add(pair)
+    return out
+
+
 def rough_channels(record: Record, names: Sequence[str]) -> set[str]:
-    """Channels with a lag-1 autocorrelation below 0.5, as of noise."""
-    return {name for name, values in _scaled(record, names).items() if values[1:] @ values[:-1] < 0.5 * len(values)}
+    """Channels that are as rough as noise."""
+    return {name for name, values in _scaled(record, names).items() if _is_rough(values)}
+
+
+def _is_rough(values: Floats) -> bool:
+    """Whether the lag-1 autocorrelation is below 0.5, as of noise."""
+    return bool(values[1:] @ values[:-1] < 0.5 * (values @ values))
 
 
 # --- least squares on integrals --------------------------------------------------------------------------------------

@@ -5,12 +5,12 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
-from bayeq.inspection.links import CLEARLY, Link
-from bayeq.records.names import FORCES, in_si, parse_unit
+from bayeq.inspection.links import CLEARLY, SAME, Link
+from bayeq.records.names import FORCES, REVOLUTIONS, in_si, parse_unit
 
 # Order of a channel: that of the derivative of its coordinate, 0 to 2, or input, reference, first-order state.
 INPUT, REFERENCE, STATE = -1, -2, -3
@@ -19,6 +19,7 @@ TITLES = {0: "displacement", 1: "velocity", 2: "acceleration", INPUT: "force or 
 LOADS = {*FORCES, "Nm", "kNm", "mNm"}
 ANGLES = {"rad", "mrad", "deg", "°", "rev", "rpm"}
 DEGREES = {"deg", "°"}
+NAMES_OF_ANGLES = {"th", "theta", "phi", "angle", "winkel"}
 WARMTH = {"°C", "K", "degC", "°F", "degF"}
 
 # Words of names in English, German, French, Spanish and Italian, in small letters without accents. Quantities take
@@ -44,7 +45,7 @@ SENSORS: Mapping[int, str] = {
 SYMBOLS: Mapping[int, str] = {
     0: "x y z q s d o th theta phi psi",
     1: "v w om omega xd xdot yd ydot zd zdot dx dy dz thd thdot dth",
-    2: "a xdd xddot ydd yddot zdd zddot ddx ddy ddz thdd thddot ddth",
+    2: "a ag xdd xddot ydd yddot zdd zddot ddx ddy ddz thdd thddot ddth",
     INPUT: "u f fx fy fz tau",
     REFERENCE: "r e",
 }
@@ -65,14 +66,16 @@ PLACES = (
     "base ground foundation fondation boden fundament sockel socle sol support shake shaking vibrante rutteltisch"
     " schwingtisch",
 )
+# Words of a base by themselves: Tischbeschleunigung may be that of a machine.
+BASES = {"ag", "table", "tisch"}
 # Words of this many letters are found at the beginning and the end of longer ones: Motorspannung, Kraftmessdose.
 COMPOUND = 5
 SENSOR_ENDS = re.compile(r"(?<=\w{3})(mess)?(aufnehmer|sensor|geber|dose|zelle|wert|signal|grosse)$")
 
 #: The largest correlation over all lags, by pair of channels.
 Alike = Mapping[frozenset[str], float]
-# Correlations from which two channels are the same signal but for a lag, and two inputs belong to one motor.
-SAME, ONE_INPUT = 0.98, 0.5
+# Correlation from which two inputs belong to one motor.
+ONE_INPUT = 0.5
 # A channel named like a force may be an acceleration if its fit to a second derivative exceeds this.
 EXACTLY = 0.999
 
@@ -85,10 +88,11 @@ class Clue:
     why: str  # the reason in words
     by_unit: bool  # whether the order comes from the unit, which is surer than a name
     index: str  # distinguishes channels of one kind: the numbers in its name, or else its other words
-    angle: bool  # whether it is an angle, by its unit or name
+    angle: bool | None  # whether it is of an angle, by its unit or name, or else of a length; None if unknown
     degrees: bool  # whether it is an angle in degrees
     symbol: bool = False  # whether the order comes from a symbol, which is less sure than a word
     rank: int = 0  # rank of an input: 0 measured force, 1 current, 2 command
+    base: int | None = None  # order of the motion, if its name is that of what the others stand on
 
 
 @dataclass(frozen=True)
@@ -156,14 +160,31 @@ def clues_of(units: Mapping[str, str]) -> dict[str, Clue]:
     """
     first = {name.rpartition("_")[0] for name in units}
     if len(units) < 2 or len(first) > 1:
-        return {name: clue_of(name, unit) for name, unit in units.items()}
+        return _on_a_base({name: clue_of(name, unit) for name, unit in units.items()})
     rest = {name: name.rpartition("_")[2] for name in units}
     said, tier, _ = _order_of_name(_parts("".join(first)))
     if said == INPUT and tier == 0 and all(name.isdigit() for name in rest.values()):
         return {name: clue_of(f"ch{rest[name]}", unit) for name, unit in units.items()}
     kinds = {_order_of_name(_parts(name))[0] for name in rest.values()}
     plain = said is None or (tier == 2 and None not in kinds and len(kinds) > 1)
-    return {name: clue_of(rest[name] if plain else name, unit) for name, unit in units.items()}
+    return _on_a_base({name: clue_of(rest[name] if plain else name, unit) for name, unit in units.items()})
+
+
+def _on_a_base(clues: Mapping[str, Clue]) -> dict[str, Clue]:
+    """Clues with the displacement of a base as an input if another is there.
+
+    Where the base is all that moves, as the table of a machine, its acceleration is no input.
+    """
+    motions = [clue for clue in clues.values() if clue.order in (0, 1, 2)]
+    alone = bool(motions) and all(clue.base is not None for clue in motions)
+    borne = any(clue.order == 0 and clue.base is None for clue in motions)
+    out = dict(clues)
+    for name, clue in clues.items():
+        if borne and clue.base == clue.order == 0 and not clue.angle:
+            out[name] = replace(clue, order=INPUT, why="its name", by_unit=False)
+        elif alone and clue.base == 2:
+            out[name] = replace(clue, order=2)
+    return out
 
 
 def clue_of(name: str, unit: str) -> Clue:
@@ -178,25 +199,26 @@ def clue_of(name: str, unit: str) -> Clue:
     by_name, tier, others = _order_of_name(parts)
     digits = "_".join(part for part in parts if part.isdigit())
     index = digits or "_".join(others)
-    angle = (
-        unit == "rad"
-        or unit in DEGREES
-        or (not unit and any(part in ("th", "theta", "phi", "angle", "winkel") for part in parts))
-    )
     by_unit = _order_of_unit(unit)
+    turns = not unit and bool(NAMES_OF_ANGLES & set(parts))
+    turns |= unit in REVOLUTIONS or bool(ANGLES & set(parse_unit(unit)))
+    angle = turns or (False if by_unit in (0, 1, 2) else None)
     order, why = (by_name, "its name") if by_unit is None else (by_unit, f"its unit {unit}")
     wanted, commands, measured, current = (bool(set(words.split()) & set(parts)) for words in KINDS)
     ambient, moved = (any(_is_place(part, words.split()) for part in parts) for words in PLACES)
+    moved |= bool(BASES & set(parts)) or {"floor", "0"} <= set(parts)
+    base = order if moved and order in (0, 1, 2) else None
     rank = 2 if wanted or commands else 0 if measured or by_unit == INPUT else 1 if current else 2
     if (wanted and order != INPUT) or (commands and order in (0, 1, 2, STATE) and (by_unit is not None or not unit)):
         order, why = REFERENCE, "its name"
-    elif (order == STATE and ambient) or (order == 2 and moved):
+    elif (order == STATE and ambient) or base == 2:
         order, why = INPUT, "its name"
     elif by_name == STATE and order == 0:
         order, why = STATE, "its name"
     sure = by_unit is not None and order == by_unit
     why = why if order is not None else ""
-    return Clue(order, why, sure, index, angle, unit in DEGREES, not sure and tier == 2, rank)
+    symbol = not sure and tier == 2 and base is None
+    return Clue(order, why, sure, index, angle, unit in DEGREES, symbol, rank, base)
 
 
 def _order_of_unit(unit: str) -> int | None:
@@ -261,15 +283,18 @@ def guess_roles(
     links: Sequence[Link],
     first: Mapping[str, float],
     alike: Alike,
+    twins: Set[frozenset[str]],
     rough: set[str],
 ) -> Guess:
     """Assign channels that move to chains and inputs.
 
     `clues` are the roles by unit and name; `links` the derivatives found, the surest first; `first` the share of each
-    first-order state that channels explain; `alike` the correlations; `rough` the channels that look like noise.
+    first-order state that channels explain; `alike` the correlations; `twins` the pairs that measure one motion;
+    `rough` the channels that look like noise.
     """
     reasons: dict[str, str] = {}
     questions: list[str] = []
+    clues = _with_base(names, clues, links, questions)
     runs = _runs(_clear(_agreeing(links, clues), questions), reasons)
     linked = {name for run in runs for name in run if name is not None}
     of_order = {k: [n for n in names if clues[n].order == k and n not in linked] for k in (INPUT, REFERENCE, 0)}
@@ -278,11 +303,14 @@ def guess_roles(
         if clues[name].symbol:  # R of S, I and R
             reasons[name] = f"may be a reference or an error, by its letter: if it is a state, --chain {name}"
     for k, name in enumerate(of_order[0]):
-        same = [other for other in of_order[0][:k] if alike.get(frozenset((name, other)), 0.0) > SAME]
+        same = [other for other in of_order[0][:k] if frozenset((name, other)) in twins]
         if same:
-            reasons[name] = f"moves as {same[0]} does; as a coordinate: --chain {same[0]}:: --chain {name}::"
+            reasons[name] = f"moves as {same[0]} does"
         elif name in rough and not rough.issuperset(n for n in names if clues[n].order == 0):
             reasons[name] = "jumps from row to row as noise does"
+        near = [other for other in of_order[0][:k] if alike.get(frozenset((name, other)), 0.0) > SAME]
+        if near and name not in reasons:
+            questions.append(f"{name} moves nearly as {near[0]} does: if both measure one point, leave one out")
     inputs = []
     for name in of_order[INPUT]:
         one = [other for other in of_order[INPUT] if alike.get(frozenset((name, other)), 0.0) > ONE_INPUT]
@@ -291,7 +319,11 @@ def guess_roles(
             reasons[name] = f"moves as {nearest} does, which is nearer to the motion: they are one input"
             continue
         inputs.append(name)
-        like = [link.stands_for for link in links if link.above == name and clues[link.below].order != REFERENCE]
+        like = [
+            "-" * (link.gain < 0.0) + link.stands_for
+            for link in links
+            if link.above == name and clues[link.below].order != REFERENCE
+        ]
         reasons[name] = clues[name].why + "".join(f"; it moves as {motion} too" for motion in like[:1])
         questions += _exchanged(name, links, clues)
     rest = [name for name in names if name not in linked and name not in reasons]
@@ -314,6 +346,35 @@ def guess_roles(
     ordered = sorted(chains, key=lambda chain: min(names.index(name) for name in chain if name is not None))
     undecided = tuple(name for name in names if name not in used)
     return Guess(tuple(ordered), tuple(inputs), undecided, reasons, tuple(questions))
+
+
+def _with_base(
+    names: Sequence[str], clues: Mapping[str, Clue], links: Sequence[Link], questions: list[str]
+) -> Mapping[str, Clue]:
+    """Clues with the acceleration of a base as an input; without another input it may be known by its sign alone.
+
+    Above its resonance a mass stays behind, so that its motion against the base is the reverse of that of the base.
+    """
+    if any(clues[name].order == INPUT for name in names):
+        return clues
+    for link in links:
+        below, above = clues[link.below], clues[link.above]
+        places = [
+            {word for word in clue.index.split("_") if not word.isdigit() and all(word not in table for table in TIERS)}
+            for clue in (below, above)
+        ]
+        if (
+            link.gain < 0.0
+            and below.order in (0, 1)
+            and above.order == 2
+            and all(places)
+            and not set.intersection(*places)
+        ):
+            why = f"moves as -{link.stands_for}, at another place: as a base does above the resonance"
+            own = f"--{'vel' if below.order else 'disp'} {link.below} --acc {link.above} --scale {link.above}=-1"
+            questions.append(f"if {link.above} belongs to {link.below} and is reversed: {own}")
+            return {**clues, link.above: replace(above, order=INPUT, why=why, base=2)}
+    return clues
 
 
 def _exchanged(name: str, links: Sequence[Link], clues: Mapping[str, Clue]) -> list[str]:
@@ -447,6 +508,7 @@ def _chains(
             chain
             for chain, other in zip(chains, indices, strict=True)
             if chain[order] is None
+            and not {True, False} <= {clues[n].angle for n in (name, *chain) if n is not None}
             and (index == other or (len(chains) == 1 and counts[order] == 1) or (alone and not found))
         ]
         if not fits and index not in indices:
