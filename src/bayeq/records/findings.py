@@ -23,6 +23,7 @@ from bayeq.records.consistency import Frames, Relation, derivative_name, goes_wi
 from bayeq.records.names import derivative_ratio, in_si, parse_unit
 from bayeq.records.record import Record
 from bayeq.records.repair import counts_rows
+from bayeq.records.validate import even_times
 
 # Gains that mistaken units cause, and the tolerance of a measured gain [ln].
 UNIT_GAINS = (
@@ -401,7 +402,7 @@ def _dropped(record: Record, name: str) -> Iterator[Finding]:
     """Steps of time that are whole multiples of the usual one."""
     if record.time is None or record.n < LEAST_ROWS_TO_CHECK:
         return
-    steps = np.diff(record.time)
+    steps = np.diff(even_times(record.time))
     ratio = steps / np.median(steps)
     whole = np.round(ratio)
     even = np.abs(ratio - whole) <= NEAR_MULTIPLE
