@@ -46,6 +46,11 @@ def test_what_is_wrong_with_a_tie_is_said(text: str, error: type[Exception]) -> 
         parse_ties([text], TERMS, ["a1", "a2"])
 
 
+def test_a_factor_of_a_tie_without_its_sign_is_told() -> None:
+    with pytest.raises(InputError, match=r"a \* is missing"):
+        parse_ties(["a1: x1-x2 == 2(a2: x2-x1)"], TERMS, ["a1", "a2"])
+
+
 @pytest.mark.parametrize("text", ["u ~ 1", "u + x1 ~ 1 +- 1", "u ~ one +- 2", "u ~ 1 +- 0", "u ~ 1 +- -1"])
 def test_what_is_wrong_with_a_measured_coefficient_is_said(text: str) -> None:
     with pytest.raises(InputError, match=r"u ~ 0\.1 \+- 0\.001"):

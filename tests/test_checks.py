@@ -13,7 +13,7 @@ from bayeq.cli.app import main
 from bayeq.errors import DataWarning, InputError, RecordError, UnknownNameError
 from bayeq.numerics.distributions import t_quantile
 from bayeq.records.consistency import Frames, _weak_derivative, relate, uniform_frames
-from bayeq.records.findings import check_messages
+from bayeq.records.findings import check_messages, clipped_levels
 from tests.data import measured
 
 OSCILLATORS = ("linear", "duffing", "quadratic", "coulomb")
@@ -320,6 +320,33 @@ def test_clipping_is_found(channel):
         rounded = clipped.with_channels({channel: np.round(clipped[channel] / step) * step})
         assert ("clipping", channel) in kinds(rounded)
         assert kinds(record.with_channels({channel: np.round(record[channel] / step) * step})) == []
+
+
+def resonant(n=8000):
+    """Noise through a resonance of 25 samples a period."""
+    rng, values = np.random.default_rng(5), np.zeros(n)
+    push = rng.normal(size=n)
+    for k in range(2, n):
+        values[k] = 1.92 * values[k - 1] - 0.985 * values[k - 2] + push[k]
+    return values
+
+
+def test_single_clipped_samples_are_found_and_coarse_levels_are_not_clipped():
+    values = resonant()
+    limit = np.sort(np.abs(values))[-5]
+    for step in (0.0, limit / 2**11):
+        few = np.clip(np.round(values / step) * step if step else values, -limit, limit)
+        found = clipped_levels(few)
+        assert sum(one.samples for one in found) >= 5
+        assert {abs(one.level) for one in found} == {limit}
+        # at one end alone
+        (top,) = clipped_levels(np.minimum(few, np.sort(few)[-8]))
+        assert top.which == "greatest"
+    waves = [np.sin(2 * np.pi * f * np.arange(8000) / 400) for f in (5.0, 5.013, 10.0, 0.5)]
+    for whole in (values, *waves, *(wave + 1e-3 * values / values.std() for wave in waves)):
+        for level in (0.0, 1e-4, 1e-3, 1 / 128, 1 / 30):
+            size = level * np.abs(whole).max()
+            assert clipped_levels(np.round(whole / size) * size if size else whole) == []
 
 
 def test_what_stands_still_on_purpose_is_not_clipped_nor_lost():

@@ -425,6 +425,8 @@ def test_bad_dictionaries(run: Run, folder: Path, text: str, parts: list[str]) -
         (["--chain", "x", "--dictionary", "x, x(k-2)", "--discrete"], "an earlier sample of a map is written x[-2]"),
         (["--chain", "x", "--chain", "v", "--conserve", "x, v"], "conserve 'x, v': write the sum alone: x + v"),
         (["--chain", "x", "--chain", "v", "--conserve", "x+v = 1"], "conserve 'x+v = 1': write the sum alone: x+v"),
+        (["--chain", "x", "--chain", "v", "--conserve", ""], "--conserve is empty: write a sum, 'S + I', or"),
+        (["--chain", "x", "--differs", " "], "--differs is empty: write terms, 'x, v', or all, or leave it out"),
     ],
 )  # fmt: skip
 def test_what_was_meant_is_told(run: Run, options: list[str], said: str) -> None:

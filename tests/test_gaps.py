@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
+import re
+
 import numpy as np
 import pytest
 
 import bayeq as bq
+from bayeq.cli.app import main
+from bayeq.errors import DataWarning
 from bayeq.records.repair import split_at_gaps
+from bayeq.records.validate import even_times
 from bayeq.states.prepare import filled_in, on_grid
 from bayeq.systems.system import BandLimitedForce, System
 
@@ -79,3 +85,53 @@ def test_a_noisy_input_does_not_overshoot_in_a_gap():
     np.testing.assert_array_equal(filled[kept], rec["u"][kept])
     assert np.std((filled - u)[~kept]) < 0.05
     np.testing.assert_array_equal(filled_in(t, np.where(kept, 1.0, np.nan)), 1.0)
+
+
+# --- times that a coarse clock rounded -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("fs", [800, 400, 441.3, 700])
+def test_an_even_grid_rounded_to_a_large_part_of_its_step_is_even(fs):
+    time = np.round(np.arange(3000) / fs, 3)  # at 800 Hz the steps are 1, 1, 1, 2 ms
+    # a step of twice the shortest may be a missing row
+    with pytest.warns(DataWarning, match="taken as even") if fs > 500 else contextlib.nullcontext():
+        rec = bq.Record.from_arrays(x=np.sin(9 * time), time=time)
+    assert rec.is_uniform()
+    assert rec.fs == pytest.approx(fs, rel=1e-5)
+    assert np.abs(rec.time - time).max() < 6e-4
+    assert bq.check_record(bq.Record({"x": np.sin(9 * time)}, time), ["x::"]) == []
+
+
+@pytest.mark.parametrize("fs", [800, 400, 700])
+def test_missing_rows_are_found_in_rounded_times_too(fs):
+    k = np.delete(np.arange(3000), [500, 501, 777, *range(1500, 1700)])
+    even = even_times(np.round(k / fs, 3))
+    np.testing.assert_array_equal(np.round((even - even[0]) * fs), k)
+
+
+def test_uneven_times_are_not_taken_for_rounded_ones():
+    rng = np.random.default_rng(3)
+    k = np.arange(3000)
+    jittered = np.sort(k + rng.uniform(-0.3, 0.3, 3000)) / 800
+    some = np.sort(rng.choice(k, 2000, replace=False)) / 1000
+    one = np.delete(k, 1500) / 1000
+    for time in (
+        jittered,
+        np.round(jittered, 6),
+        some,
+        one,
+        np.cumsum(rng.choice([1, 2], 3000)) / 1000,
+        np.array([0.0]),
+    ):
+        assert even_times(time) is time
+
+
+def test_a_rate_given_beside_rounded_times_does_not_contradict_them(tmp_path, capsys):
+    path = tmp_path / "run.csv"
+    rows = (f"{k / 800:.3f},{np.sin(k / 9):.6f},{np.cos(k / 20):.6f}\n" for k in range(2000))
+    path.write_text("Time [s],x [mm],F [N]\n" + "".join(rows))
+    assert main(["info", str(path)]) == 0
+    shown = capsys.readouterr()
+    assert re.search(r"2000 rows at (800|799\.99\d|800\.00\d) Hz", shown.out)
+    assert "missing" not in shown.out
+    assert main(["discover", str(path), "--fs", "800", "--chain", "x:", "--input", "F", "--dictionary", "x, F"]) == 0

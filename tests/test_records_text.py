@@ -378,3 +378,16 @@ def test_files_are_joined_by_dates_of_whatever_kind(tmp_path):
         both = join(read(path), other)
         np.testing.assert_allclose(both["x"], both["F"], atol=1e-3)
         assert both.n >= 6  # days of Excel are rounded
+
+
+@pytest.mark.parametrize("title", ["Test: cable mode 1\n", ""])
+@pytest.mark.parametrize("units", ["Units: s, mm, g, N", '"Units: s, mm, g, N"', "Einheiten: s; mm; g; N"])
+def test_a_line_of_units_above_the_names_is_read_where_it_fits(tmp_path, title, units):
+    path = tmp_path / "run.csv"
+    rows = "".join(f"{0.002 * k:.3f},{k % 7},{k % 5},{k % 3}\n" for k in range(20))
+    path.write_text(f"{title}{units}\nTime,Laser,Acc,Load\n{rows}")
+    rec = read(path)
+    assert dict(rec.units) == {"t": "s", "Laser": "mm", "Acc": "g", "Load": "N"}
+    assert rec.n == 20
+    path.write_text(f"{title}Units: s, mm\nTime,Laser,Acc,Load\n{rows}")
+    assert "Laser" not in read(path).units

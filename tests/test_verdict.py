@@ -13,7 +13,8 @@ from studies.numbers_records import draw_heater
 
 import bayeq as bq
 from bayeq.discovery import question
-from bayeq.equation.verdict import Window, _window, judge
+from bayeq.equation.brief import brief
+from bayeq.equation.verdict import Verdict, Window, _window, judge, with_clipping
 from bayeq.errors import DataWarning, InputError
 from bayeq.inference import gibbs
 from bayeq.likelihood import spike
@@ -302,3 +303,28 @@ def with_unmeasured_force(n, share, seed=3):
 def test_an_unmeasured_force_is_told_at_any_length(n):
     eq = bq.discover(with_unmeasured_force(n, 0.3), **OSCILLATOR, dictionary=["x", "v", "x**3", "u"])
     assert eq.verdict.kind == "nearly true"
+
+
+def test_an_equation_of_a_channel_that_is_clipped_at_its_peaks_is_at_best_nearly_true():
+    record = bq.simulate("duffing", seed=1)
+    limits = np.quantile(np.abs(record["a"]), [0.76, 0.998])
+    much, little = (record.with_channels({"a": np.clip(record["a"], -one, one)}) for one in limits)
+    settings = {"chains": "::a", "inputs": ["u"], "dictionary": ["x", "dx", "x**3", "x**2", "u"]}
+    eq = quietly(much, **settings)
+    assert eq.verdict.kind in ("nearly true", "none")
+    assert "a is clipped in 24 % of its rows" in str(eq.verdict)
+    assert "measure it in a larger range" in str(eq.verdict)
+    assert "tails" not in brief(eq)
+    assert "is clipped" not in str(quietly(little, **settings).verdict)
+
+
+def test_clipping_is_named_as_the_cause():
+    none = with_clipping(Verdict("none", "no equation found: R2 0"), "a", 0.21)
+    assert none == Verdict(
+        "none", "no equation found: R2 0", "a is clipped in 21 % of its rows: measure it in a larger range"
+    )
+    assert with_clipping(Verdict("found", "R2 1"), "a", 0.21).kind == "nearly true"
+    both = with_clipping(Verdict("nearly true", "5 % of a is not explained", "add terms"), "a", 0.21)
+    assert both.reason == "a is clipped in 21 % of its rows; 5 % of a is not explained"
+    other = with_clipping(Verdict("not determined", "two models", "measure longer"), "a", 0.21)
+    assert other.advice == "measure longer; a is clipped in 21 % of its rows: measure it in a larger range"

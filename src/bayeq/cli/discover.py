@@ -254,6 +254,9 @@ def source_of(
 def cleaned(options: Mapping[str, Any]) -> dict[str, Any]:
     """The options as `bayeq.discover` takes them, without those that were not given."""
     out = {name: value for name, value in options.items() if value is not None}
+    for name, example in (("conserve", "a sum, 'S + I'"), ("differs", "terms, 'x, v', or all")):
+        if not out.get(name, example).strip():
+            raise InputError(f"--{name} is empty: write {example}, or leave it out")
     out["inputs"] = list(filter(None, out["inputs"]))
     out["chains"] = list(out["chains"]) or None
     out["target"] = list(out["target"]) or None

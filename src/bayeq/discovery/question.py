@@ -50,7 +50,7 @@ from bayeq.regression.fit import fit_equations, record_of, sensors_of_design
 from bayeq.regression.regression import regressions_of
 from bayeq.resumable import Progress
 from bayeq.states import Motion, Roles, Smooth, Tails, corrected, estimate_motion, known_sensors, measured_apart
-from bayeq.states.bad_samples import Learned
+from bayeq.states.bad_samples import Learned, clipped_shares
 from bayeq.states.derive import require_in_range, require_steps, require_varying
 from bayeq.states.motion import cut_at, held_out_share
 from bayeq.states.prepare import bridged_record, cleaned, divided_at_gaps, in_samples, require_enough, without_hum
@@ -177,8 +177,9 @@ class Question:
         data = DataSummary.of(pieces, motion, found is not None)
         if whole is not None:
             data = data.of_stretches(whole.names, *whole.counts(motion.holdout), len(measured))
+        tolerance, clipped = self.rules.tolerance or SELECTION.tolerance, clipped_shares(measured, self.roles.seen)
         answer = Equations(
-            equations=EquationTuple(with_doubts(equations, selections, self.rules.tolerance or SELECTION.tolerance)),
+            equations=EquationTuple(with_doubts(equations, selections, tolerance, clipped)),
             inputs=motion.roles.inputs,
             method=self.method,
             dictionary=written(self.dictionary),

@@ -17,6 +17,7 @@ from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation
 from bayeq.equation.physical import forces_of, own_parameters
 from bayeq.equation.quantities import PhysicalParameters, Quantity
+from bayeq.equation.verdict import CLIPPED
 from bayeq.equation.written import moment
 from bayeq.errors import in_digits, printable
 from bayeq.expressions import parse
@@ -302,11 +303,12 @@ def failed(equation: Equation) -> Iterator[str]:
     """Diagnostics that fail, and what to do."""
     found = equation.residuals
     # residuals of a static law hold the noise of its inputs, which varies with the slope: their tails are heavy anyway
-    if found.normality < text.DOUBTFUL and found.kurtosis > 0.0 and not equation.chain.static:
+    clipped = CLIPPED in str(equation.verdict)
+    if found.normality < text.DOUBTFUL and found.kurtosis > 0.0 and not (equation.chain.static or clipped):
         yield "what is left has heavy tails: try --tails student"
     # errors of an estimated derivative follow the motion: the tests behind the verdict say more
     by_likelihood = equation.chain.measured[-1] is None or equation.likelihood_model is not None
-    tested = by_likelihood and equation.verdict.kind == "found"
+    tested = by_likelihood and (equation.verdict.kind == "found" or clipped)
     if found.driver is not None and found.driver.p_value < text.DOUBTFUL and not tested:
         late = "" if equation.chain.discrete else f", or it is late: --lag-sd {found.driver.name}=SECONDS learns that"
         yield printable(f"what is left follows {found.driver.name}: a term with it may be missing{late}")

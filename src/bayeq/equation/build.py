@@ -27,6 +27,7 @@ from bayeq.equation.verdict import (
     noise_share,
     suspecting,
     window_errors,
+    with_clipping,
 )
 from bayeq.errors import (
     AmbiguityWarning,
@@ -175,17 +176,21 @@ def _numbers(regression: Regression) -> float:
 
 
 def with_doubts(
-    equations: Sequence[Equation], selections: Sequence[Selection], tolerance: float
+    equations: Sequence[Equation], selections: Sequence[Selection], tolerance: float, clipped: Mapping[str, float]
 ) -> tuple[Equation, ...]:
-    """Equations with verdicts that also consider tests of residuals, and models that differ beyond the tolerance."""
+    """Equations with verdicts that also consider tests of residuals, models that differ beyond the tolerance, and the
+    `clipped` share of each channel."""
     design = selections[0].fit.regression.design
     again = repeating(design.motion, design.terms)
+    name, much = max(clipped.items(), key=lambda one: one[1], default=("", 0.0))
     found = []
     for equation, selection in zip(equations, selections, strict=True):
         verdict, shape = _doubted(equation, selection, tolerance, again), selection.shown_fit.regression.shape
         same = exchangeable(equation, equations)
         if same is not None and verdict.kind != "none":
             verdict = Verdict("not determined", same, "give the range of the constant that you know, {a: 0.1..1}")
+        if much > EQUATION.clipped:
+            verdict = with_clipping(verdict, name, much)
         residuals = equation.residuals if shape is None else replace(equation.residuals, **shape._asdict())
         found.append(replace(equation, verdict=verdict, residuals=residuals))
     return tuple(found)

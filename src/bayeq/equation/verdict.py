@@ -85,8 +85,8 @@ class Verdict:
         (`bayeq.equation.selection.excitation`).
         ``nearly true``: the law lacks a function of the states (the probability that it lacks none is below 1 %,
         `bayeq.likelihood.spike`), the motion needs a force that no term explains, innovations of a channel are not
-        white noise, or a coefficient changes over the record (`bayeq.likelihood.adequacy`); or the terms leave more
-        than 20 % of the target's standard deviation.
+        white noise, or a coefficient changes over the record (`bayeq.likelihood.adequacy`); the terms leave more
+        than 20 % of the target's standard deviation; or a channel is clipped in more than 5 % of its rows.
     reason : str
         The reason, in a sentence.
     advice : str
@@ -237,6 +237,21 @@ def suspecting(verdict: Verdict, found: Suspect, seconds: float) -> Verdict:
     if verdict.kind == "found":
         return Verdict("nearly true", f"other channels contradict {name}", advice)
     return replace(verdict, advice=advice)
+
+
+# Words of a verdict on a clipped channel.
+CLIPPED = "is clipped in"
+
+
+def with_clipping(verdict: Verdict, name: str, share: float) -> Verdict:
+    """The verdict, at best nearly true, where samples of a channel miss at its peaks and so not at random."""
+    said = f"{name} {CLIPPED} {in_digits(100.0 * share)} % of its rows"
+    larger = "measure it in a larger range"
+    if verdict.kind in ("none", "not determined"):
+        before = f"{verdict.advice}; " if verdict.kind == "not determined" and verdict.advice else ""
+        return replace(verdict, advice=f"{before}{said}: {larger}")
+    reason = said if verdict.kind == "found" else f"{said}; {verdict.reason}"
+    return Verdict("nearly true", reason, f"{CAREFUL}, and terms may be false: {larger}")
 
 
 def _on_one_orbit(again: Repeating, chain: Chain, rate: str) -> Verdict:

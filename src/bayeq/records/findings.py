@@ -23,6 +23,7 @@ from bayeq.records.consistency import Frames, Relation, derivative_name, goes_wi
 from bayeq.records.names import derivative_ratio, in_si, parse_unit
 from bayeq.records.record import Record
 from bayeq.records.repair import counts_rows
+from bayeq.records.validate import even_times
 
 # Gains that mistaken units cause, and the tolerance of a measured gain [ln].
 UNIT_GAINS = (
@@ -37,14 +38,17 @@ NEAR = 0.02
 EXCHANGED, AS_STATED = math.log(2.0), math.log(1.1)
 
 # Clipping: LEAST_RUN equal samples in a row at an extreme, and either no other level repeats, or the extreme has at
-# least LEAST_CLIPPED samples and TIMES_NEXT times those of each of the NEXT_LEVELS next levels. A channel of fewer than
-# LEAST_LEVELS levels, or at its extreme for a share MOST_AT_REST of the rows, counts as switched.
+# least LEAST_CLIPPED samples and TIMES_NEXT times those of each of the NEXT_LEVELS next levels. Or it comes to an
+# extreme LEAST_RUN times or more, with TIMES_NEXT times the samples of any of these levels: the greatest level of a
+# sine has 2.4 times those of the next. Levels that differ by less than SAME_LEVEL of the greatest are one. A channel of
+# fewer than LEAST_LEVELS levels, or at its extreme for a share MOST_AT_REST of the rows, counts as switched.
 LEAST_RUN = 3
 LEAST_CLIPPED = 10
 TIMES_NEXT = 5
 NEXT_LEVELS = 5
 LEAST_LEVELS = 20
 MOST_AT_REST = 0.5
+SAME_LEVEL = 1e-9  # far below a level of 24 bits, far above float rounding
 
 # Dropped samples: time steps within NEAR_MULTIPLE median steps of a multiple. Repeated samples: at least LEAST_REPEATS
 # places, if half the median change is LEVELS_PER_STEP levels; beyond a share MOST_REPEATED values are held on purpose.
@@ -401,7 +405,7 @@ def _dropped(record: Record, name: str) -> Iterator[Finding]:
     """Steps of time that are whole multiples of the usual one."""
     if record.time is None or record.n < LEAST_ROWS_TO_CHECK:
         return
-    steps = np.diff(record.time)
+    steps = np.diff(even_times(record.time))
     ratio = steps / np.median(steps)
     whole = np.round(ratio)
     even = np.abs(ratio - whole) <= NEAR_MULTIPLE
@@ -473,12 +477,14 @@ def clipped_levels(values: Floats, shut: bool = False) -> list[Clipping]:
     """Extremes at which a channel is clipped; with `shut`, for an input such as a valve, not at 0."""
     starts, lengths = equal_runs(values)
     at_extremes = np.isin(values[starts], (values.min(), values.max()))
-    if not (lengths[at_extremes] >= LEAST_RUN).any():  # true of most channels, and saves sorting them
+    # true of most channels, and saves sorting them
+    if np.count_nonzero(at_extremes) < LEAST_RUN and not (lengths[at_extremes] >= LEAST_RUN).any():
         return []
     levels, counts = np.unique(values, return_counts=True)
     if len(levels) < LEAST_LEVELS:
         return []
     unlike = bool((counts[1:-1] == 1).all())
+    symmetric = levels[0] == -levels[-1] and _often(np.abs(values))
     found = []
     for which, beyond, near in (
         ("greatest", values >= levels[-1 - NEXT_LEVELS], counts[-1 - NEXT_LEVELS : -1]),
@@ -494,9 +500,21 @@ def clipped_levels(values: Floats, shut: bool = False) -> list[Clipping]:
         lengths = lengths[inner[starts] == level]
         count, longest = int(lengths.sum()), int(lengths.max(initial=0))
         beyond_chance = unlike or count >= max(LEAST_CLIPPED, TIMES_NEXT * int(near.max()))
-        if longest >= LEAST_RUN and beyond_chance and count < MOST_AT_REST * len(inner):
+        long = longest >= LEAST_RUN and beyond_chance
+        often = symmetric or _often(values if which == "greatest" else -values)
+        if (long or often) and 0 < count < MOST_AT_REST * len(inner):
             found.append(Clipping(which, level, count, longest))
     return found
+
+
+def _often(values: Floats) -> bool:
+    """Whether the greatest level has far more samples than the next ones, in several places."""
+    greatest = float(values.max())
+    size = max(abs(greatest), abs(float(values.min()))) * SAME_LEVEL or 1.0
+    _, counts = np.unique(np.round(values / size), return_counts=True)
+    visits = np.count_nonzero(values[equal_runs(values)[0]] == greatest)
+    many = np.count_nonzero(values == greatest) >= TIMES_NEXT * counts[-1 - NEXT_LEVELS : -1].max(initial=1)
+    return bool(many and visits >= LEAST_RUN)
 
 
 def _clipped(name: str, values: Floats, shut: bool) -> Iterator[Finding]:

@@ -6,6 +6,7 @@ import difflib
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, overload
 
@@ -25,7 +26,7 @@ from bayeq.records.formats import excel, format_of, gz, text, writers
 from bayeq.records.formats.excel import without_sheet
 from bayeq.records.formats.nested import read_pieces
 from bayeq.records.record import Record
-from bayeq.records.validate import without_mask
+from bayeq.records.validate import without_mask, without_rounding
 
 #: Size [bytes] and modification time [ns] of a file.
 FileState = tuple[int, int]
@@ -326,7 +327,8 @@ def as_record(source: Any, t: Any = None) -> Record:
     if isinstance(source, Record):
         if t is not None:
             raise InputError("t is for arrays and files; a Record has its own time")
-        return source
+        even = None if source.time is None else without_rounding(source.time, source.label)
+        return source if even is source.time else replace(source, time=even)
     if t is not None and column is None and (isinstance(source, (str, os.PathLike)) or _is_data_frame(source)):
         raise InputError("t names the column that is time, of a file or a data frame")
     if isinstance(source, (str, os.PathLike)):
@@ -360,7 +362,8 @@ def _from_mapping(source: Mapping[Any, Any], t: Any) -> Record:
     data = Columns.build(headers, lambda i: without_mask(source[keys[i]]))
     if t is None or isinstance(t, str):
         return Record(**assemble(data, Request(time=t), name="")[0])
-    return Record(dict(zip(data.names, data.values, strict=True)), np.asarray(t), data.headers.stated_units())
+    channels = dict(zip(data.names, data.values, strict=True))
+    return Record.from_arrays(channels, time=np.asarray(t), units=data.headers.stated_units())
 
 
 def _from_data(source: Any, t: Any) -> Record:

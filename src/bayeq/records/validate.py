@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -10,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.arrays import Bools, Floats
-from bayeq.errors import RecordError, UnknownNameError, require_mapping
+from bayeq.errors import DataWarning, RecordError, UnknownNameError, require_mapping
 from bayeq.expressions.parse import EARLIER
+from bayeq.numerics.settings import RECORDS
 from bayeq.records.names import clean_name
 
 
@@ -122,13 +124,72 @@ def even_step(*times: Floats) -> float | None:
 ALIKE, LOOKED_AT, LEVELS = 0.2, 1000, 3
 
 
+# Times of an even grid may have been rounded by a clock to a unit that is a large part of a step. They are then off the
+# grid by at most half a unit, ROUNDED_BY units with the error of the fitted grid, and their steps are in turn too short
+# and too long, LEAST_TURNS times each: as many rows that miss at random would lie as evenly with a probability of
+# 20!/20**20 = 2e-8. Steps that differ by less than a share SAME_STEP of a step are the same but for float rounding.
+ROUNDED_BY, LEAST_TURNS, SAME_STEP = 0.6, 20, 1e-6
+
+
+def even_times(time: Floats) -> Floats:
+    """Times of an even grid, with or without gaps, that a coarse clock rounded, without the rounding; others unchanged.
+
+    >>> np.diff(even_times(np.round(np.arange(200) / 800, 3)))[:3].round(6)
+    array([0.00125, 0.00125, 0.00125])
+    """
+    steps = np.diff(time)
+    if len(steps) < 2 * LEAST_TURNS or not ((steps > 0.0) & (steps < np.inf)).all():
+        return time
+    usual = float(np.median(steps))
+    apart = np.diff(np.unique(np.append(0.0, steps[:LOOKED_AT])))
+    unit = float(apart[apart > SAME_STEP * usual].min())
+    if not 2.0 * RECORDS.jitter * usual < min(unit, float(np.ptp(steps))):
+        return time  # a jitter that is allowed everywhere
+    for index in (np.arange(len(time), dtype=np.float64), _numbered(time)):
+        step, start = np.polyfit(index, time, 1)
+        grid = start + step * index
+        single = steps[np.diff(index) == 1.0] / step - 1.0
+        turns = min(np.count_nonzero(single < -SAME_STEP), np.count_nonzero(single > SAME_STEP))
+        near = np.abs(time - grid).max() <= ROUNDED_BY * unit and (np.diff(index) > 0.0).all()
+        if near and turns >= LEAST_TURNS:
+            return np.asarray(grid)
+    return time
+
+
+def _numbered(time: Floats) -> Floats:
+    """Numbers of the samples on the even grid of the most even rows, extended by a quarter until the ends."""
+    width = min(4 * LEAST_TURNS, len(time))
+    rows, index = time[: len(time) // width * width].reshape(-1, width), np.arange(width, dtype=np.float64)
+    off = rows.T - np.vander(index, 2) @ np.polyfit(index, rows.T, 1)
+    first = width * int(np.argmin(np.abs(off).max(axis=0)))
+    last = first + width
+    while True:
+        step, start = np.polyfit(index, time[first:last], 1)
+        if last - first == len(time):
+            return index
+        more = (last - first) // 4
+        first, last = max(first - more, 0), min(last + more, len(time))
+        index = np.round((time[first:last] - start) / step)
+
+
+def without_rounding(time: Floats, where: str) -> Floats:
+    """Times without the rounding of a coarse clock (`even_times`); a DataWarning, if rows may be missing instead."""
+    even = even_times(time)
+    if even is not time:
+        steps, step = np.diff(time), float(np.median(np.diff(even)))
+        if round(float(steps[np.diff(even) < 1.5 * step].max() / steps.min()), 3) == 2.0:
+            message = f"times are rounded; taken as even, {1.0 / step:.4g} Hz: give more digits if rows are missing"
+            warnings.warn(f"{where}: {message}", DataWarning, stacklevel=5)
+    return even
+
+
 def usual_step(time: Floats) -> float:
     """The median time step; for rounded times the slope of a line fitted to times over step counts.
 
     >>> round(1 / usual_step(np.round(np.delete(np.arange(300), range(90, 99)) / 30, 3)), 4)
     30.0
     """
-    steps = np.diff(time)
+    steps = np.diff(even_times(time))
     median = float(np.median(steps))
     alike = steps[np.abs(steps - median) < ALIKE * median]
     levels = np.unique(np.round(alike[:LOOKED_AT] / (median or 1.0), 6))
@@ -159,7 +220,7 @@ def other_step(values: Floats, unit: str, fs: float) -> float | None:
     (0.001, None)
     """
     with np.errstate(invalid="ignore"):  # of infinite times
-        steps = np.diff(values)
+        steps = np.diff(even_times(values))
         step = float(np.median(steps)) * SECONDS.get(unit, 1.0) if len(steps) else 0.0
     coarse = np.count_nonzero(steps == 0.0) > len(values) // MOST_REPEATED
     return step if step > 0.0 and not coarse and not 0.99 < fs * step < 1.01 else None
@@ -263,7 +324,7 @@ def trial_starts(labels: Any, n: int, where: str) -> list[int]:
 def time_from(channels: Mapping[str, Any], time: Any, fs: float | None, where: str) -> Any:
     """Sampling times: `time` as it is, or ``arange(n) / fs``, or None."""
     if fs is None:
-        return time
+        return time if time is None else without_rounding(as_time(time, where), where)
     if time is not None:
         raise RecordError(f"{where}: time and fs are both given; give one of them")
     if not (isinstance(fs, (int, float, np.number)) and 0 < fs <= sys.float_info.max):

@@ -285,6 +285,8 @@ def _side_of(text: str, where: str) -> tuple[float, str, str]:
     number, rest = found[1], found[2]
     if rest.count("(") != rest.count(")"):
         raise InputError(f"{where}: a bracket is missing: write a tie as 'a1: x1-x2 == 2*(a2: x2-x1)'")
+    if re.match(r"[-+]?[0-9.]+\s*\(", rest):
+        raise InputError(f"{where}: a * is missing: write a tie as 'a1: x1-x2 == 2*(a2: x2-x1)'")
     inside = rest[1:-1] if rest.startswith("(") and rest.endswith(")") else rest
     target, colon, body = (part.strip() for part in inside.partition(":"))
     try:

@@ -141,6 +141,16 @@ def without_bad_samples(
     return out, messages
 
 
+def clipped_shares(records: Sequence[Record], roles: Roles) -> dict[str, float]:
+    """Share of the samples of each channel at a level at which it is clipped; empty for a map, whose samples jump."""
+    total, out = sum(record.n for record in records), {}
+    for name in () if roles.discrete else roles.channels:
+        known = [record[name][np.isfinite(record[name])] for record in records]
+        found = [one.samples for values in known if len(values) for one in clipped_levels(values, name in roles.inputs)]
+        out[name] = sum(found) / total
+    return out
+
+
 def _message(name: str, kind: str, rows: Bools) -> str:
     count = int(rows.sum())
     samples = f"{count} sample{'s' * (count > 1)} left out as {kind[:-1] if kind == 'spikes' and count == 1 else kind}"

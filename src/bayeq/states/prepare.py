@@ -14,7 +14,7 @@ from bayeq.records import Record, correct_delay
 from bayeq.records.findings import equal_runs
 from bayeq.records.record import with_only, with_samples
 from bayeq.records.repair import SAMPLES, split_at_gaps
-from bayeq.records.validate import even_step, is_step
+from bayeq.records.validate import ROUNDED_BY, even_step, is_step
 from bayeq.states.bad_samples import Learned, listed, without_bad_samples
 from bayeq.states.derive import LARGEST, Smooth, require_usable
 from bayeq.states.kinematic.fit import fit_kinematic
@@ -32,10 +32,8 @@ SHORT = 2
 # A record is put on a grid if at most this share of the grid's samples is missing.
 MOST_MISSING = 0.4
 
-# Times may have been rounded to one of these numbers of decimals, which moves them by at most half a unit of the last;
-# ROUNDED_BY units allow for the error of the fitted grid.
+# Times may have been rounded to one of these numbers of decimals, which moves them by at most half a unit of the last.
 DECIMALS = range(1, 10)
-ROUNDED_BY = 0.6
 
 # Times count as rounded to a number of decimals if they are off by at most this share of a unit of the last.
 SAME_DECIMALS = 1e-6

@@ -221,7 +221,7 @@ def find_table(rows: Sequence[str]) -> Table | None:
     above = [fitted(words(row, delimiter, width), width) for row in rows[:start]]
     # rows between a header and the table are units, or faulty
     faulty = start == 2 or any(cells is not None and is_number(cells[0]) for cells in above[1:])
-    if faulty and above[0] is not None and is_words(above[0]):
+    if faulty and above[0] is not None and is_words(above[0]) and not _UNIT_LINE.match(rows[0]):
         return None
     if above[-1] is not None and not is_words(above[-1]):
         return None
@@ -234,7 +234,7 @@ def find_table(rows: Sequence[str]) -> Table | None:
         head.insert(0, cells)
     names = _names(head)
     if names is not None:
-        names = _with_stated_units(names, above)
+        names = _with_stated_units(names, above, rows[:start])
     return Table(start, delimiter, names, stated_step(rows[:start]))
 
 
@@ -276,8 +276,17 @@ def _unit_row(cells: Sequence[str]) -> list[str] | None:
     return [unit or "" for unit in units] if any(units) and None not in units else None
 
 
-def _with_stated_units(names: list[str], above: Sequence[list[str] | None]) -> list[str]:
-    """Names with units from a line such as ``Vertical Units,V,A``, which states one for every column but the first."""
+# A line that states a unit for every column.
+_UNIT_LINE = re.compile(r"\W*(?:units?|einheit(?:en)?)\s*[:=](.*)", re.IGNORECASE | re.DOTALL)
+
+
+def _with_stated_units(names: list[str], above: Sequence[list[str] | None], rows: Sequence[str]) -> list[str]:
+    """Names with units from a line such as ``Units: s, mm, N``, which states one for every column, or such as
+    ``Vertical Units,V,A``, which does for every column but the first."""
+    for found in filter(None, map(_UNIT_LINE.match, rows)):
+        every = _unit_row([cell.strip(' "\r\n') for cell in re.split(r"[,;\t]", found[1])])
+        if every is not None and len(every) == len(names) and not any("[" in name or "(" in name for name in names):
+            return with_units(names, every)
     for cells in above:
         if cells is not None and cells[0].casefold() in ("vertical units", "units", "unit", "einheit", "einheiten"):
             units = [unit_cell(cell) for cell in cells[1:]]
