@@ -131,6 +131,7 @@ study: $(VENV)/.dev
 	$(BIN)/python -m studies.planning --records 12 > docs/tables/planning.csv
 	$(BIN)/python -m studies.reliability --figures docs/figures > docs/tables/reliability.csv
 	$(BIN)/bayeq study figures docs/figures
+	$(BIN)/python -m studies.rest > docs/tables/rest.csv
 	for name in $(RECORD_STUDIES); do $(BIN)/python -m studies.$$name > docs/tables/$$name.csv || exit 1; done
 	$(BIN)/python -m studies.rules
 

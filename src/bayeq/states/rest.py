@@ -14,18 +14,16 @@ from bayeq.states.roles import Roles
 # A record is examined in blocks of at least ROWS rows, of which there are about BLOCKS; it needs LEAST of them.
 ROWS, BLOCKS, LEAST = 16, 250, 20
 
-# The last blocks that are examined for rest, as a share of all.
-TAIL = 0.25
+# The last blocks, TAIL of all, are at rest if their mean square is below a share SMALL of the largest, and in their
+# second half above a share STEADY of that in the first: of an exponential decay to SMALL only half would be left.
+TAIL, SMALL, STEADY = 0.25, 0.01, 0.75
 
-# A tail is at rest if its mean square is below this share of the largest, and changes by STEADY standard
-# errors at most from its first half to its second.
-SMALL, STEADY = 0.01, 3.0
+# A block moves if its mean square is ABOVE times the largest of the tail, or NOISY times that of white noise; a row
+# moves FAR standard deviations of the noise from the level at first (docs/tables/rest.csv).
+ABOVE, NOISY, FAR = 1.5, 3.0, 5.0
 
-# Median of the magnitude of a standard normal variable.
-NORMAL = 0.6745
-
-# A block moves if its mean square is ABOVE times the largest of the tail, or NOISY times that of white noise.
-ABOVE, NOISY = 1.5, 3.0
+# Median of the magnitude of a standard normal variable; variance of third differences of white noise.
+NORMAL, THIRD = 0.6745, 20.0
 
 
 def without_rest(records: Sequence[Record], roles: Roles) -> tuple[list[Record], list[str]]:
@@ -59,18 +57,18 @@ def moving_rows(values: Floats) -> tuple[int, int]:
     first, tail = n - count * width, math.ceil(TAIL * count)
     blocks = values[first:].reshape(count, width, -1)
     power = np.mean((blocks - blocks[-tail:].mean(axis=(0, 1))) ** 2, axis=1)
-    ends = power[-tail:]
-    halves = ends[: tail // 2], ends[tail // 2 :]
-    error = np.sqrt(sum(half.var(axis=0) / len(half) for half in halves))
-    steady = np.abs(halves[0].mean(axis=0) - halves[1].mean(axis=0)) <= STEADY * error
-    limit, stop = ABOVE * ends.max(axis=0), n
-    if (steady & (ends.mean(axis=0) < SMALL * power.max(axis=0))).all():
-        last = int(np.flatnonzero((power > limit).any(axis=1))[-1])
-        stop = min(first + (last + 2) * width, n)
+    before, after = power[-tail : -(tail // 2)].mean(axis=0), power[-(tail // 2) :].mean(axis=0)
+    limit, noise, stop = ABOVE * power[-tail:].max(axis=0), power[-tail:].mean(axis=0), n
+    if ((after > STEADY * before) & (noise < SMALL * power.max(axis=0))).all():
+        stop = min(first + (int(np.flatnonzero((power > limit).any(axis=1))[-1]) + 2) * width, n)
     else:
-        third = np.median(np.abs(np.diff(values, 3, axis=0)), axis=0)
-        limit = NOISY * third**2 / (20.0 * NORMAL**2)  # the variance of third differences of white noise is 20
+        noise = np.median(np.abs(np.diff(values, 3, axis=0)), axis=0) ** 2 / (THIRD * NORMAL**2)
+        limit = NOISY * noise
     moves = (np.mean((blocks - blocks[0].mean(axis=0)) ** 2, axis=1) > limit).any(axis=1)
-    start = int(np.argmax(moves)) + 1
-    # a free vibration that is released at its first row, as most are, leaves that state within a block or two
-    return (first + start * width if start > 2 else 0), stop
+    block = int(np.argmax(moves))
+    if block < 2:  # released at its first row, as most free vibrations are, it leaves that state within a block or two
+        return 0, stop
+    level = blocks[: block - 1].mean(axis=(0, 1))
+    near = values[first + (block - 1) * width : first + (block + 1) * width]
+    far = (np.abs(near - level) > FAR * np.sqrt(noise)).any(axis=1)
+    return first + (block - 1) * width + (int(np.argmax(far)) if far.any() else 2 * width), stop
