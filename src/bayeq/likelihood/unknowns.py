@@ -229,12 +229,12 @@ def _exchanged(motion: Motion, task: Task, fitted: Fitted) -> Iterator[dict[str,
     held = [term for j, term in enumerate(task.layout.terms) if _holds(task, fitted.model, [j])]
     for pair in itertools.combinations([term for term in held if len(term.unknowns) == 1], 2):
         (g, first), (h, second) = (next(iter(term.unknowns.items())) for term in pair)
-        if g == h or len(pair[0].names) > 1 or pair[0].names != pair[1].names:
+        if g == h or len(pair[0].names) != 1 or pair[0].names != pair[1].names:
             continue
         affine = np.column_stack([columns[next(iter(pair[0].names))], np.ones(motion.train[0].n)])
         for way in (1.0, -1.0):
             rising, falling = evaluate_terms(with_values(pair, {g: first.value, h: way * first.value}), columns).T
-            for both in (rising - falling, rising + falling):
+            for both in (rising - falling, rising + falling) if np.isfinite(rising + falling).all() else ():
                 left = both - affine @ np.linalg.lstsq(affine, both)[0]
                 values = {g: way * second.value, h: way * first.value}
                 if np.ptp(left) <= SAME * np.ptp(rising) and all(
