@@ -387,9 +387,10 @@ def _dictionary(guess: Guess, clues: Mapping[str, Clue], rows: int, levels: Coll
         return " + ".join([powers, *(f"sqrt({name})" for (name, *_) in guess.chains if name in levels)])
     if len(guess.chains) > 1:
         low = [clues[next(name for name in chain if name is not None)] for chain in guess.chains]
-        # without a unit they may be angles, as of a double pendulum, but not on a base
+        # they may be angles of a double pendulum, which no torque drives, but not on a base
         based = any(clues[name].base is not None for name in guess.inputs)
-        known = based or all(clue.by_unit or clue.order != 0 for clue in low)
+        driven = [clue.by_unit and (not clue.angle or bool(guess.inputs)) for clue in low]
+        known = based or all(one or clue.order in (1, 2) for one, clue in zip(driven, low, strict=True))
         return NEIGHBOURS if known and len({clue.angle for clue in low} - {None}) < 2 else QUADRATIC
     motion = guess.chains[0][0]
     if motion is not None and clues[motion].angle:
