@@ -86,7 +86,8 @@ class Verdict:
         ``nearly true``: the law lacks a function of the states (the probability that it lacks none is below 1 %,
         `bayeq.likelihood.spike`), the motion needs a force that no term explains, innovations of a channel are not
         white noise, or a coefficient changes over the record (`bayeq.likelihood.adequacy`); the terms leave more
-        than 20 % of the target's standard deviation; or a channel is clipped in more than 5 % of its rows.
+        than 20 % of the target's standard deviation; or a channel of the motion is clipped in more than 5 % of its
+        rows.
     reason : str
         The reason, in a sentence.
     advice : str

@@ -142,11 +142,14 @@ def without_bad_samples(
 
 
 def clipped_shares(records: Sequence[Record], roles: Roles) -> dict[str, float]:
-    """Share of the samples of each channel at a level at which it is clipped; empty for a map, whose samples jump."""
+    """Share of the samples of each channel of a motion at a level at which it is clipped.
+
+    An actuator may have reached its limit, so that inputs are left out, and samples of a map jump.
+    """
     total, out = sum(record.n for record in records), {}
-    for name in () if roles.discrete else roles.channels:
+    for name in () if roles.discrete else roles.measured:
         known = [record[name][np.isfinite(record[name])] for record in records]
-        found = [one.samples for values in known if len(values) for one in clipped_levels(values, name in roles.inputs)]
+        found = [one.samples for values in known if len(values) for one in clipped_levels(values)]
         out[name] = sum(found) / total
     return out
 
