@@ -447,4 +447,5 @@ def _of_hidden_noise(equation: Equation, regression: Regression) -> Said:
             continue
         term, (change,) = max(changes.items(), key=lambda one: abs(one[1][0]))
         shift = f"{100 * NOISE_OF_INPUT:.0f} % would shift {term} by {100 * change:+.2g} %"
-        yield f"noise of {name} unseen, {shift}: give --noise {name}=SD", DataWarning
+        channel = name.partition("[")[0]  # of an earlier sample
+        yield f"noise of {channel} unseen, {shift}: give --noise {channel}=SD", DataWarning
