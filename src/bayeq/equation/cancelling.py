@@ -45,15 +45,15 @@ def common_root(equation: Equation) -> complex | None:
         return None
     drawn = [roots(one) for one in normal_draws(coef, shown.covariance, DRAWS, np.random.default_rng(0))]
     for pole in poles[np.abs(poles) > 0.0]:
-        zeros = [one[np.abs(one - pole).argmin()] for one in others]
-        apart = np.array(
+        zeros = [_nearest(one, pole) for one in others]
+        apart = pole - np.array(zeros)
+        others_apart = np.array(
             [
-                [_nearest(one[0], pole) - _nearest(z, zero) for z, zero in zip(one[1:], zeros, strict=True)]
-                for one in drawn
+                [_nearest(own, pole) - _nearest(z, zero) for z, zero in zip(rest, zeros, strict=True)]
+                for own, *rest in drawn
             ]
         )
-        distance = np.abs(pole - np.array(zeros))
-        if (distance < ERRORS * np.sqrt(np.mean(np.abs(apart - (pole - np.array(zeros))) ** 2, axis=0))).all():
+        if (np.abs(apart) < ERRORS * np.sqrt(np.mean(np.abs(others_apart - apart) ** 2, axis=0))).all():
             return complex(pole)
     return None
 

@@ -355,7 +355,8 @@ def window_errors(dynamics: Dynamics, motion: Motion) -> Sequence[Window | None]
         return none
     whole = rows_of(motion, "a free run")
     states = np.concatenate([rows.stack(dynamics.states) for rows in whole])
-    noise = np.array([state_noise(motion).get(name, 0.0) for name in dynamics.states])
+    known = state_noise(motion)
+    noise = np.array([known.get(name, 0.0) for name in dynamics.states])
     unit, period = np.hypot(states.std(axis=0), noise), typical_period(dynamics, whole)
     rng = np.random.default_rng(0)
     moved = [(theta, noise * rng.standard_normal(len(noise))) for theta in dynamics.draw(MOVED, rng)]

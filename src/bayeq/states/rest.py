@@ -9,6 +9,7 @@ import numpy as np
 
 from bayeq.arrays import Floats
 from bayeq.records import Record
+from bayeq.states.bad_samples import MEDIAN_NORMAL
 from bayeq.states.roles import Roles
 
 # A record is examined in blocks of at least ROWS rows, of which there are about BLOCKS; it needs LEAST of them.
@@ -22,8 +23,8 @@ TAIL, SMALL, STEADY = 0.25, 0.01, 0.75
 # moves FAR standard deviations of the noise from the level at first (docs/tables/rest.csv).
 ABOVE, NOISY, FAR = 1.5, 3.0, 5.0
 
-# Median of the magnitude of a standard normal variable; variance of third differences of white noise.
-NORMAL, THIRD = 0.6745, 20.0
+# Variance of third differences of white noise.
+THIRD = 20.0
 
 
 def without_rest(records: Sequence[Record], roles: Roles) -> tuple[list[Record], list[str]]:
@@ -62,7 +63,7 @@ def moving_rows(values: Floats) -> tuple[int, int]:
     if ((after > STEADY * before) & (noise < SMALL * power.max(axis=0))).all():
         stop = min(first + (int(np.flatnonzero((power > limit).any(axis=1))[-1]) + 2) * width, n)
     else:
-        noise = np.median(np.abs(np.diff(values, 3, axis=0)), axis=0) ** 2 / (THIRD * NORMAL**2)
+        noise = np.median(np.abs(np.diff(values, 3, axis=0)), axis=0) ** 2 / (THIRD * MEDIAN_NORMAL**2)
         limit = NOISY * noise
     moves = (np.mean((blocks - blocks[0].mean(axis=0)) ** 2, axis=1) > limit).any(axis=1)
     block = int(np.argmax(moves))
