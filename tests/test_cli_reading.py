@@ -111,6 +111,16 @@ def test_a_stand_off_is_warned_of_and_can_be_removed(duffing, tmp_path, capsys):
     assert coef["x**2"] == 0.0
 
 
+def test_a_base_is_subtracted_from_an_absolute_channel(duffing, tmp_path, capsys):
+    duffing = duffing.slice(0, 500)
+    x, v, a, u = channels(duffing)
+    known = put(tmp_path / "known.csv", "t,x,v,a,u", duffing.time, x, v, a, u)
+    absolute = put(tmp_path / "run.csv", "t,x,v,a,u,Boden", duffing.time, x, v, a - u, u, -u)
+    expected = discovered(capsys, known, "--smooth", "none")[0]
+    found = discovered(capsys, absolute, "--remove-offset", "a=Boden", "--smooth", "none")[0]
+    assert found == pytest.approx(expected, rel=1e-9)
+
+
 # --- time that is not known ------------------------------------------------------------------------------------------
 
 
@@ -270,8 +280,11 @@ def test_standard_input(duffing, tmp_path, capsys, monkeypatch):
         (["--skip", "-1"], "--skip -1: give a number of lines"),
         (["--skip", "99999"], "run.csv: the file has no data after the 99999 skipped lines"),
         (["--remove-offset", "y"], "run.csv: no channel named 'y'"),
-        (["--remove-offset", "x=a"], "--remove-offset x: 'a' is no number"),
-        (["--remove-offset", "x="], "write a channel, x, or a channel and a value, x=0.2"),
+        (["--remove-offset", "x=0.2mm"], "--remove-offset x: '0.2mm' is no number"),
+        (["--remove-offset", "x=base"], "run.csv: no channel named 'base'"),
+        (["--units", "x=mm,a=g", "--remove-offset", "x=a"], "run.csv: x is in mm, a in g: no difference of these"),
+        (["--remove-offset", "x=x"], "run.csv: x less itself is nothing"),
+        (["--remove-offset", "x="], "write a channel, x, or a channel and what is subtracted, x=0.2 or a1=base"),
         (["--remove-offset", "x=nan"], "an offset must be a finite number"),
         (["--remove-offset", "x", "--remove-offset", "x"], "--remove-offset: 'x' is named twice"),
     ],

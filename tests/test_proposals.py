@@ -35,7 +35,10 @@ def test_an_absolute_acceleration_beside_that_of_its_base_is_not_used() -> None:
     t, (z, w), base = forced(lambda y, u: [y[1], -u - 1.6 * y[1] - 1500.0 * y[0]], [0.0, 0.0])
     found = bq.info(noisy(t, rel_disp=z, mass_acc=-1.6 * w - 1500.0 * z, base_acc=base))
     assert found.proposal.python == "bq.discover(record, displacement='rel_disp', force='base_acc')"
-    assert "mass_acc - base_acc is the second derivative of rel_disp" in str(found)
+    assert (
+        "mass_acc - base_acc is the second derivative of rel_disp; as rel_disp::mass_acc: --remove-offset"
+        " mass_acc=base_acc" in " ".join(str(found).split())
+    )
     lost = noisy(t, rel_disp=z, mass_acc=-1.6 * w - 1500.0 * z, base_acc=base)
     gap = np.where(np.arange(len(t)) == 7, np.nan, lost["base_acc"])
     assert bq.info(lost.with_channels({"base_acc": gap})).proposal.complete
@@ -113,7 +116,8 @@ def test_accelerations_of_storeys_are_neighbours_and_may_be_absolute(unit) -> No
     expected = "chains=['::Acc_1', '::Acc_2', '::Acc_3'], inputs=['Acc_ground'], dictionary='neighbours')"
     assert found.proposal.python == f"bq.discover(record, {expected}"
     absolute = "the law is of motion against the base: if Acc_1, Acc_2, Acc_3 are absolute, subtract Acc_ground first"
-    assert absolute in str(found).replace("\n    ", " ")
+    told = str(found).replace("\n    ", " ")
+    assert f"{absolute}: --remove-offset Acc_1=Acc_ground --remove-offset Acc_2=Acc_ground" in told
     alone = bq.info(bq.Record({name: record[name] for name in ("Acc_ground", "Acc_3")}, t))
     assert "if Acc_3 is absolute, subtract Acc_ground first" in str(alone)
 

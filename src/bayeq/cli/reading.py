@@ -57,7 +57,8 @@ _OTHERS = (
         "--remove-offset",
         "offsets",
         multiple=True,
-        help="Subtract a value from a channel, x=0.2, or its mean over the rows that are used, x. Once per channel.",
+        help="Subtract a value from a channel, x=0.2, another channel, a1=base, or its mean over the rows that are"
+        " used, x. Once per channel.",
     ),
 )
 
@@ -69,7 +70,8 @@ reading_options = opt.together(*_OF_FILES, *_OTHERS)
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """Values of the reading options; an offset of None is the mean, `stream=None` decides by the size of the files."""
+    """Values of the reading options; an offset of None is the mean, a text the name of a channel; `stream=None` decides
+    by the size of the files."""
 
     time: str | None = None
     fs: float | None = None
@@ -79,7 +81,7 @@ class Reading:
     units: Mapping[str, str] = field(default_factory=dict)
     skip: int = 0
     rows: slice | None = None
-    offsets: Mapping[str, float | None] = field(default_factory=dict)
+    offsets: Mapping[str, float | str | None] = field(default_factory=dict)
     stream: bool | None = None
     sheet: str | None = None
 
@@ -153,7 +155,8 @@ class Reading:
         from bayeq.records.io import rows_of
 
         _require_different(files)
-        wanted = list(dict.fromkeys([*used, *self.offsets]))
+        bases = [value for value in self.offsets.values() if isinstance(value, str)]
+        wanted = list(dict.fromkeys([*used, *self.offsets, *bases]))
         parts: list[list[Record]] = []
         for k, file in enumerate(files):
             progress("reading", k, len(files))
@@ -227,16 +230,20 @@ def _rows(text: str | None) -> slice | None:
     return slice(first, last)
 
 
-def _offsets(texts: Sequence[str]) -> dict[str, float | None]:
-    out: dict[str, float | None] = {}
+def _offsets(texts: Sequence[str]) -> dict[str, float | str | None]:
+    out: dict[str, float | str | None] = {}
     for text in texts:
         name, equals, value = (part.strip() for part in text.partition("="))
         if not name or (equals and not value):
-            raise InputError(f"--remove-offset {text[:60]!r}: write a channel, x, or a channel and a value, x=0.2")
-        channel = opt.channel_name(name)
+            raise InputError(
+                f"--remove-offset {text[:60]!r}: write a channel, x, or a channel and what is subtracted, x=0.2 or"
+                " a1=base"
+            )
+        channel, where = opt.channel_name(name), f"--remove-offset {name}"
         if channel in out:
             raise InputError(f"--remove-offset: {channel!r} is named twice")
-        out[channel] = opt.number(f"--remove-offset {name}", value) if equals else None
+        of_channel = value[:1].isalpha() and value.lower() not in ("nan", "inf", "infinity")
+        out[channel] = None if not equals else opt.channel_name(value) if of_channel else opt.number(where, value)
     return out
 
 

@@ -405,7 +405,8 @@ def _say_undecided(guess: Guess, clues: Mapping[str, Clue], notes: list[str], op
     accelerations = [chain[-1] for chain in guess.chains if chain[:-1] == (None, None)]
     for base in (name for name in guess.inputs if clues[name].base == 2 and len(accelerations) == len(guess.chains)):
         those = some_of([str(name) for name in accelerations], 30) + (" are" if len(accelerations) > 1 else " is")
-        notes.append(f"the law is of motion against the base: if {those} absolute, subtract {base} first")
+        how = " ".join(f"--remove-offset {shlex.quote(f'{name}={base}')}" for name in accelerations)
+        notes.append(f"the law is of motion against the base: if {those} absolute, subtract {base} first: {how}")
     second = len(guess.chains[0]) == 3 if guess.chains else False
     for name in (name for name in guess.undecided if name in guess.reasons):
         other = (

@@ -132,7 +132,10 @@ class Guess:
 
     def without_absolute(self, of_base: Mapping[str, tuple[str, str]]) -> Guess:
         """The guess with absolute accelerations as undecided; `of_base` gives displacement and base of each."""
-        said = {q: f"is absolute: {q} - {base} is the second derivative of {p}" for q, (p, base) in of_base.items()}
+        said = {
+            q: f"is absolute: {q} - {base} is the second derivative of {p}; as {p}::{q}: --remove-offset {q}={base}"
+            for q, (p, base) in of_base.items()
+        }
         return replace(self, undecided=(*self.undecided, *said), reasons={**self.reasons, **said})
 
     def role_of(self, name: str) -> str:

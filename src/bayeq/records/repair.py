@@ -228,8 +228,8 @@ def _interpolate(values: Floats, rows: Ints, steps: float) -> Floats:
     return out
 
 
-def remove_offset(record: Record, channel: str, offset: float | None = None, drift: float = 0.0) -> Record:
-    """Subtract an offset, and a drift, from a channel.
+def remove_offset(record: Record, channel: str, offset: float | str | None = None, drift: float = 0.0) -> Record:
+    """Subtract an offset, and a drift, from a channel, or another channel, as a base's motion from an absolute one.
 
     Parameters
     ----------
@@ -237,23 +237,28 @@ def remove_offset(record: Record, channel: str, offset: float | None = None, dri
         The record; it needs time if there is a drift.
     channel : str
         The channel.
-    offset : float, optional
+    offset : float or str, optional
         Offset at the middle of the record, in the unit of the channel: the value of an ``"offset"`` finding of
-        `check_record`. By default the mean of the channel, for example a laser's stand-off.
+        `check_record`. By default the mean of the channel, for example a laser's stand-off. A name is that of a channel
+        of the same unit, which is subtracted sample by sample.
     drift : float
         Change per second: the value of a ``"drift"`` finding of `check_record`.
 
     Raises
     ------
     RecordError
-        A drift in a record without time.
+        A drift in a record without time; two channels with different units.
 
     Examples
     --------
-    >>> record = Record({"v": [1.0, 2.0, 3.0]}, time=[0.0, 1.0, 2.0])
+    >>> record = Record({"v": [1.0, 2.0, 3.0], "base": [0.5, 0.5, 1.5]}, time=[0.0, 1.0, 2.0])
     >>> remove_offset(record, "v", 0.5, drift=1.0)["v"]
     array([1.5, 1.5, 1.5])
+    >>> remove_offset(record, "v", "base")["v"]
+    array([0.5, 1.5, 1.5])
     """
+    if isinstance(offset, str):
+        return _against(record, channel, offset)
     if offset is None:
         known = record[channel][np.isfinite(record[channel])]
         offset = float(known.mean()) if len(known) else 0.0
@@ -264,6 +269,16 @@ def remove_offset(record: Record, channel: str, offset: float | None = None, dri
             raise RecordError(f"{record.label}: a drift is per second, and the record has no time")
         values = values - drift * (record.time - 0.5 * (record.time[0] + record.time[-1]))
     return with_samples(record, {channel: values})
+
+
+def _against(record: Record, channel: str, other: str) -> Record:
+    """The record with a channel less another one."""
+    units = [record.units.get(name) for name in (channel, other)]
+    if units[0] != units[1] and None not in units:
+        raise RecordError(f"{record.label}: {channel} is in {units[0]}, {other} in {units[1]}: no difference of these")
+    if channel == other:
+        raise RecordError(f"{record.label}: {channel} less itself is nothing: name another channel")
+    return with_samples(record, {channel: record[channel] - record[other]})
 
 
 # --- two recorders ----------------------------------------------------------------------------------------------------
