@@ -23,7 +23,7 @@ from bayeq.errors import DataWarning, ExpressionError, InputError
 from bayeq.expressions import Evaluator, Unknown, parse
 from bayeq.likelihood.nodes import derivative
 from bayeq.likelihood.spike import Soft
-from bayeq.likelihood.unknowns import _as_one, _Tangent
+from bayeq.likelihood.unknowns import Tangent, as_one
 from bayeq.records import Record
 
 VARIABLES = Variables(("x", "v"), ("u",))
@@ -530,13 +530,13 @@ def test_a_constant_of_two_equations_is_one_number() -> None:
     root = rng.standard_normal((6, 6))
     covariance, theta = root @ root.T, rng.standard_normal(6)
     change = parse("x")
-    tangents = [_Tangent("K", 0, change), _Tangent("g", 0, change), _Tangent("K", 1, change)]
+    tangents = [Tangent("K", 0, change), Tangent("g", 0, change), Tangent("K", 1, change)]
     fold = np.zeros((6, 5))
     fold[np.arange(6), [0, 1, 2, 3, 4, 3]] = 1.0
     information = np.linalg.inv(covariance)
     folded = np.linalg.inv(fold.T @ information @ fold)
     mean = folded @ fold.T @ information @ theta
-    found, joint, first = _as_one(tangents, theta, covariance)
+    found, joint, first = as_one(tangents, theta, covariance)
     assert first == {"K": 3, "g": 4}
     np.testing.assert_allclose(found, fold @ mean, rtol=1e-9)
     np.testing.assert_allclose(joint, fold @ folded @ fold.T, rtol=1e-9, atol=1e-12)
@@ -613,3 +613,51 @@ def test_of_two_forms_of_a_clearance_the_one_without_a_constant_is_taken(seed):
     assert not eq.intercept_matters
     for constant, true in zip(eq.constants, (0.05, 0.07), strict=True):
         assert constant.value == pytest.approx(true, abs=4.0 * plain_sd(constant))
+
+
+def test_intervals_follow_a_bent_likelihood():
+    """F = A (exp(b x) - 1) with much noise: mostly A b is known, and A grows where b falls."""
+    rng = np.random.default_rng(5602)
+    t = np.arange(120) / 50.0
+    x = np.sin(2 * np.pi * 0.7 * t) + 0.6 * np.sin(2 * np.pi * 1.9 * t + 1.0)
+    F = 2.0 * (np.exp(0.3 * x) - 1.0)
+    F += 0.5 * F.std() * rng.standard_normal(len(t))
+    record = bq.Record.from_arrays({"x": x, "F": F}, time=t)
+    asked = {"target": "F", "inputs": ["x"], "noise": {"x": 0.0}, "holdout": 0.0}
+    eq = bq.discover(record, dictionary="exp({b: 0.02..3}*x)-1", **asked)[0]
+
+    b = np.geomspace(0.02, 3.0, 2000)
+    columns = np.exp(b[:, None] * x) - 1.0
+    square = (F**2).sum() - (columns @ F) ** 2 / (columns**2).sum(axis=1)  # least over A
+    likely = b[0.5 * len(t) * np.log(square / square.min()) < 0.5 * 1.96**2]
+    (constant,) = eq.constants
+    assert constant.ci95 == pytest.approx((likely[0], likely[-1]), rel=0.03)
+    # where b is at its lower end A is 2.7 times that at the estimate, which the tangent there does not see
+    A = (columns @ F) / (columns**2).sum(axis=1)
+    assert eq.shown_model.ci95[0, 1] > A[b >= likely[0]][0] > 2.5 * eq.shown_model.coef[0]
+
+
+def test_what_a_stated_law_leaves_open_is_in_the_intervals():
+    """A hidden force, df = (u - f - kb v)/tau, and k, c, b of the motion: of five numbers the record fixes four."""
+    rng, t = np.random.default_rng(5610), np.arange(400) / 50.0
+    phases = rng.uniform(0.0, 2.0 * np.pi, 12)
+
+    def u(s):
+        return np.sin(2.0 * np.pi * np.multiply.outer(s, np.linspace(0.2, 3.5, 12)) + phases).sum(axis=-1)
+
+    def rates(s, y):
+        return [y[1], -90.0 * y[0] - 1.5 * y[1] + 5.0 * y[2], (u(s) - y[2] - 0.3 * y[1]) / 0.12]
+
+    x, v, _ = solve_ivp(rates, (0.0, t[-1]), [0.0, 0.0, 0.0], t_eval=t, rtol=1e-9, atol=1e-11).y
+    channels = {name: one + 0.01 * one.std() * rng.standard_normal(len(t)) for name, one in (("x", x), ("v", v))}
+    record = bq.Record.from_arrays({**channels, "u": u(t)}, time=t)
+    law = "df = (u - f - {kb: 0.02..3}*v)/{tau: 0.01..1}"
+    with pytest.warns(DataWarning, match="the interval of kb reaches the upper end of its range"):
+        eqs = bq.discover(record, chains="x:v:", inputs=["u"], dictionary="x, v, f", law=law, holdout=0.0)
+    ends = dict(zip([term.text for term in eqs[0].terms], eqs[0].shown_model.ci95, strict=True))
+    for name, true in {"x": -90.0, "v": -1.5, "f": 5.0}.items():
+        assert ends[name][0] < true < ends[name][1]
+    assert ends["x"][1] - ends["x"][0] > 20.0
+    constants = {one.name: one.ci95 for one in eqs[1].constants}
+    assert constants["tau"][0] < 0.12 < constants["tau"][1]
+    assert constants["kb"][0] < 0.3 < constants["kb"][1]

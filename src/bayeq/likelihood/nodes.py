@@ -295,11 +295,13 @@ def with_values(
 
 
 def with_terms(motion: Motion, task: Task, terms: tuple[Expression, ...]) -> Task:
-    """The task with terms of other values, and priors to match; priors that were widened stay so by the same factor."""
+    """The task with terms of other values. Priors change as the variances of the terms do in the rows of the motion, so
+    that other terms keep theirs: priors may be widened, or those of fewer rows."""
     layout = replace(task.layout, terms=terms)
     former = precision_of_terms(motion, task.layout)
-    wider = float(np.median(task.precision / former))
-    return replace(task, layout=layout, precision=wider * precision_of_terms(motion, layout))
+    ratio = task.precision / np.where(former > 0.0, former, np.nan)  # a term may be constant at the former values
+    ratio = np.where(np.isnan(ratio), np.nanmedian(ratio), ratio)
+    return replace(task, layout=layout, precision=ratio * precision_of_terms(motion, layout))
 
 
 def choices_of(terms: Sequence[Expression]) -> dict[str, list[int]]:

@@ -27,6 +27,7 @@ from bayeq.likelihood.layout import Stated
 from bayeq.likelihood.levels import LEAST_NOISE
 from bayeq.likelihood.model import Fitted, Task, calmed, finished, fit, from_all_levels, of_motion, with_model
 from bayeq.likelihood.nodes import first_members, fresh
+from bayeq.likelihood.profile import Profile, profile_of
 from bayeq.likelihood.projection import Leftover, leftover
 from bayeq.likelihood.search import CLEARLY, Start, from_starts, resumed, search
 from bayeq.likelihood.spike import Nearly, Soft, among_fitted, among_neighbours, averaged, of_gram, soft_of
@@ -208,7 +209,15 @@ class RecordFit:
         if not self.task.layout.has_constants:
             return None
         with np.errstate(all="ignore"):
-            return joint_covariance(self._hardly_shrunk, self._unshrunk[0], power)
+            covariance, found = joint_covariance(self._hardly_shrunk, self._unshrunk[0], power)
+            return (covariance, found) if self._profile is None else self._profile.applied(found, power)
+
+    @cached_property
+    def _profile(self) -> Profile | None:
+        """The likelihood along a constant where it is not normal; None if series hold only some rows, or it fails."""
+        with suppress(np.linalg.LinAlgError), np.errstate(all="ignore"):
+            return profile_of(self._hardly_shrunk, self._unshrunk[0]) if self.more is None else None
+        return None
 
     def constants(self, c: int, power: float = 1.0) -> tuple[ConstantEstimate, ...]:
         """Constants inside the candidates of equation c, with intervals from the likelihood raised to `power`."""

@@ -271,7 +271,7 @@ def _instead(motion: Motion, task: Task, fitted: Fitted, active: int, j: int) ->
     raise np.linalg.LinAlgError(f"{task.layout.terms[j].text}: no start leads to a fit")
 
 
-class _Tangent(NamedTuple):
+class Tangent(NamedTuple):
     """Derivative of an equation's terms by a constant: its name, the number of the equation, the derivative."""
 
     name: str
@@ -279,7 +279,7 @@ class _Tangent(NamedTuple):
     change: Expression
 
 
-def tangents_of(layout: Layout, chosen: Candidates, theta: Floats) -> list[_Tangent]:
+def tangents_of(layout: Layout, chosen: Candidates, theta: Floats) -> list[Tangent]:
     """Tangents for every constant in a model's terms, on the constant's scale, in every equation that contains it."""
     sums: dict[tuple[str, int], Node] = {}
     for c, j, size in zip(chosen.chain.tolist(), chosen.term.tolist(), theta.tolist(), strict=True):
@@ -290,12 +290,12 @@ def tangents_of(layout: Layout, chosen: Candidates, theta: Floats) -> list[_Tang
             change: Node = Binary("*", number(size), derivative(term, name).tree)
             key = name, c
             sums[key] = Binary("+", sums[key], change) if key in sums else change
-    return [_Tangent(name, c, Expression(change)) for (name, c), change in sums.items()]
+    return [Tangent(name, c, Expression(change)) for (name, c), change in sums.items()]
 
 
-def _with_tangents(task: Task, state: State) -> tuple[Task, State, list[_Tangent]]:
-    """The task and a state with the constants of its model as further coefficients."""
-    tangents = tangents_of(task.layout, state.chosen, state.theta)
+def with_tangents(task: Task, state: State, held: str = "") -> tuple[Task, State, list[Tangent]]:
+    """The task and a state with the constants of its model, but the one `held`, as further coefficients."""
+    tangents = [one for one in tangents_of(task.layout, state.chosen, state.theta) if one.name != held]
     own, wide = extended(task, state, [one.change for one in tangents])
     count, constants = len(tangents), constants_of(task.layout.terms)
     further = Candidates(
@@ -306,9 +306,7 @@ def _with_tangents(task: Task, state: State) -> tuple[Task, State, list[_Tangent
     return own, replace(wide, chosen=chosen, theta=np.append(wide.theta, np.zeros(count))), tangents
 
 
-def _as_one(
-    tangents: Sequence[_Tangent], theta: Floats, covariance: Floats
-) -> tuple[Floats, Floats, Mapping[str, int]]:
+def as_one(tangents: Sequence[Tangent], theta: Floats, covariance: Floats) -> tuple[Floats, Floats, Mapping[str, int]]:
     """Coefficients, tangents last, and their covariance, conditioned on each constant being the same in all equations;
     also the number of each constant's first tangent among them."""
     first: dict[str, int] = {}
@@ -334,7 +332,7 @@ def moved(task: Task, fitted: Fitted, motion: Motion | None = None) -> tuple[Tas
     try:
         for _ in range(STEPS):
             try:
-                then, farthest = _step(*now)
+                then, farthest = stepped(*now)
             except np.linalg.LinAlgError:
                 halved += 1
                 if last is None or halved > MOST_HALVED:
@@ -351,17 +349,18 @@ def moved(task: Task, fitted: Fitted, motion: Motion | None = None) -> tuple[Tas
     return (own, other) if other.evidence > fitted.evidence else (task, fitted)
 
 
-def _step(task: Task, state: State) -> tuple[tuple[Task, State], float]:
-    """A Gauss-Newton step of a fit and its constants; how far the farthest of these goes, in standard deviations.
+def stepped(task: Task, state: State, held: str = "") -> tuple[tuple[Task, State], float]:
+    """A Gauss-Newton step of a fit and its constants; how far the farthest of these goes, in standard deviations. The
+    constant `held` stays.
 
     Coefficients are those likeliest at the former constants, in proportion to the size of their terms at the new ones:
     a joint step may reverse their signs, as those of powers of numbers far from 1 change by orders of magnitude.
     """
-    own, wide, tangents = _with_tangents(task, state)
+    own, wide, tangents = with_tangents(task, state, held)
     linears = own.linearised(wide)
     levels, found = maximised(linears, wide, own.precision_of(wide), **COARSE)
     wide, _ = improved(own.layout, task.series, linears, replace(wide, levels=levels), found)
-    theta, covariance, first = _as_one(tangents, wide.theta, found.covariance)
+    theta, covariance, first = as_one(tangents, wide.theta, found.covariance)
     constants, farthest, values, steps = constants_of(task.layout.terms), 0.0, {}, {}
     for name, k in first.items():
         constant = constants[name]
@@ -374,11 +373,11 @@ def _step(task: Task, state: State) -> tuple[tuple[Task, State], float]:
     r, columns = len(state.theta), np.concatenate([one.terms for one in linears])
     theta = theta[:r] - covariance[:r, r:] @ solved(covariance[r:, r:], theta[r:])
     theta *= _resized(task, state, tangents, columns, steps)
-    return _at_values(task, replace(wide, chosen=state.chosen, theta=theta), values), farthest
+    return at_values(task, replace(wide, chosen=state.chosen, theta=theta), values), farthest
 
 
 def _resized(
-    task: Task, state: State, tangents: Sequence[_Tangent], columns: Floats, steps: Mapping[str, float]
+    task: Task, state: State, tangents: Sequence[Tangent], columns: Floats, steps: Mapping[str, float]
 ) -> Floats:
     """Factor of each coefficient, (r,), that keeps the size of terms where their constants move by `steps`; `columns`
     (n, P + T + 1) are candidates and tangents along the path."""
@@ -391,7 +390,7 @@ def _resized(
     return np.asarray(np.exp(np.clip(out, -MOST_RESIZED, MOST_RESIZED)))
 
 
-def _at_values(task: Task, state: State, values: Mapping[str, float]) -> tuple[Task, State]:
+def at_values(task: Task, state: State, values: Mapping[str, float]) -> tuple[Task, State]:
     """The task and a state for other values of the constants; priors stay."""
     task = replace(task, layout=replace(task.layout, terms=with_values(task.layout.terms, values)))
     return task, fresh(state, task.layout)
@@ -402,14 +401,14 @@ def _halfway(last: tuple[Task, State], now: tuple[Task, State]) -> tuple[Task, S
     before, after = (constants_of(task.layout.terms) for task, _ in (last, now))
     places = {name: [to_scale(one, one.value) for one in (before[name], after[name])] for name in after}
     values = {name: to_plain(after[name], 0.5 * sum(both)) for name, both in places.items()}
-    return _at_values(now[0], now[1].towards(last[1]), values)
+    return at_values(now[0], now[1].towards(last[1]), values)
 
 
 def joint_covariance(task: Task, state: State, power: float = 1.0) -> tuple[Floats, tuple[ConstantEstimate, ...]]:
     """Covariance of a fit's coefficients with constants estimated jointly, and estimates of the constants, both from
     the likelihood raised to `power`."""
-    own, wide, tangents = _with_tangents(task, state)
-    _, covariance, first = _as_one(tangents, wide.theta, own.marginal(wide, keep=False).covariance)
+    own, wide, tangents = with_tangents(task, state)
+    _, covariance, first = as_one(tangents, wide.theta, own.marginal(wide, keep=False).covariance)
     terms, estimates = task.layout.terms, []
     for name, constant in constants_of(terms).items():
         low, high, scale = constant.low, constant.high, is_scale(constant)
