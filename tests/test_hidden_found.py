@@ -99,6 +99,28 @@ def test_a_state_that_is_not_needed_is_left_out():
     assert set(eq["a"].included) == {"x", "v", "u", "x**3"}
 
 
+@pytest.mark.parametrize("seed", [20, 21])
+def test_friction_that_goes_with_the_velocity(seed):
+    """Dahl's friction: without r the term of v stands for most of it, and a first path has that share of the term."""
+    rng, t = np.random.default_rng(seed), np.arange(400) * 0.01
+    w, phase = 2.0 * np.pi * np.linspace(0.2, 3.5, 14), rng.uniform(0.0, 2.0 * np.pi, 14)
+
+    def force(s):
+        return 1.9 * np.sin(np.multiply.outer(s, w) + phase).sum(axis=-1)
+
+    def rate(s, y):
+        return [y[1], force(s) - 0.5 * y[1] - 70.0 * y[0] - y[2], 60.0 * y[1] - 25.0 * abs(y[1]) * y[2]]
+
+    x, v, r = solve_ivp(rate, (0.0, t[-1]), [0.0, 0.0, 0.0], t_eval=t, rtol=1e-8, atol=1e-10).y
+    channels = {"x": x, "v": v, "a": force(t) - 0.5 * v - 70.0 * x - r, "u": force(t)}
+    noisy = {name: one + 0.01 * one.std() * rng.standard_normal(len(t)) for name, one in channels.items()}
+    eq = found(bq.Record.from_arrays(noisy, time=t), "x, v, u, r", "v, r, abs(v)*r, v*abs(r), x", holdout=0.0)
+    assert eq.verdict.kind == "found"
+    assert set(eq["a"].included) == {"x", "v", "u", "r"}
+    assert set(eq["dr"].included) == {"v", "abs(v)*r"}
+    assert eq["dr"].shown_coef["abs(v)*r"] == pytest.approx(-25.0, rel=0.03)
+
+
 def test_forms_that_say_the_same_are_told():
     """With v, x, u and r alone every sum of r and these obeys a law of the same terms."""
     eq = found(oscillator(3, "maxwell", rows=400, noise=0.02), hidden="v, r, x, u", holdout=0.0)

@@ -216,7 +216,9 @@ class Question:
         found, log = seen.answer(records)
         names, odds = some_of([one.state for one in hidden], 30), hidden[0].log_odds_without
         message = f" is not needed (odds without it {odds_text(odds)}): leave it out, or drive the system harder"
-        if not math.isfinite(odds):
+        if found.verdict.kind == "nearly true" and not hidden[0].stated:
+            message = ": no law of it was found by which the equations say more than without it; offer it other terms"
+        elif not math.isfinite(odds):
             message = " is not needed: no fit has it in an equation; leave it out, or give narrower ranges of constants"
         log.warn(f"hidden {names}{message}", DataWarning)
         return replace(found, hidden=hidden, warnings=log.messages), log

@@ -32,8 +32,10 @@ GRID, ROWS = 400, 4000
 # end of the grid beyond the share AT_END of the way there from the middle.
 STARTS, WORTH, TRIES, AT_END = 3, 0.5, 100, 0.99
 
-# A first path of a hidden state is the residual of the other terms plus one of these shares of the coordinate's term.
-SHARES = (0.0, 0.3, 0.6, 0.9)
+# A first path of a hidden state is the residual of the other terms plus one of these shares of the coordinate's term and
+# of the velocity's: without the state these explain part of what it does. The force of dry friction and of a damper in
+# series with a spring goes mostly with the velocity.
+SHARES = ((0.0, 0.0), (0.3, 0.0), (0.6, 0.0), (0.9, 0.0), (0.3, 0.9), (0.6, 0.9))
 
 # Grid for a hidden coordinate: springs within the factor STIFFNESS of the ratio of acceleration to displacement of a
 # measured one, at FEWEST or more nodes; dampers at DAMPING times the root of that ratio, at DAMPERS nodes.
@@ -191,8 +193,9 @@ def _in_differences(term: Expression, roles: Roles) -> bool:
 def with_first_paths(motion: Motion, roles: Roles, terms: Sequence[Expression], allowed: Bools) -> list[Motion]:
     """The motion with first paths of a hidden state whose law is to be found, one for each start of a search.
 
-    A path is the residual of a regression, without the state, of the equation in which the state is a factor, plus a
-    share of the spring's term if there is one. A state in differences alone starts on springs and a damper.
+    A path is the residual of a regression, without the state, of the equation in which the state is a factor, plus
+    shares of the terms of spring and damper if there are any. A state in differences alone starts on springs and a
+    damper.
     """
     (chain,) = roles.hidden
     seen = seen_in(chain, roles, terms, allowed)
@@ -200,10 +203,12 @@ def with_first_paths(motion: Motion, roles: Roles, terms: Sequence[Expression], 
         return _on_springs(motion, roles, terms, allowed)
     gains = (*motion.unit_gains[: len(roles.chains) - 1], np.ones(chain.order + 1))
     bare = replace(motion, roles=roles, unit_gains=gains)
-    left, spring = _rest(bare, terms, allowed, seen[0].equation)
-    rests = [left]
-    if spring is not None:
-        rests = [[one + share * part for one, part in zip(left, spring, strict=True)] for share in SHARES]
+    left, parts = _rest(bare, terms, allowed, seen[0].equation)
+    used = list(dict.fromkeys(shares[: len(parts)] for shares in SHARES))
+    rests = [
+        [one + sum(share * part[k] for share, part in zip(shares, parts, strict=True)) for k, one in enumerate(left)]
+        for shares in used
+    ]
     return [_as_factor(bare, terms, allowed, seen[0], rest) for rest in rests]
 
 
@@ -240,9 +245,9 @@ def _on_springs(motion: Motion, roles: Roles, terms: Sequence[Expression], allow
 
 def _rest(
     motion: Motion, terms: Sequence[Expression], allowed: Bools, c: int
-) -> tuple[list[Floats], list[Floats] | None]:
+) -> tuple[list[Floats], list[list[Floats]]]:
     """Residual of equation c in each record, from a regression of its smoothed rows on terms without the hidden state;
-    also the fitted term of the coordinate, or of an input of a static law, None if there is none."""
+    also the fitted terms of coordinate and velocity, or of the two inputs of a static law that explain most."""
     roles = motion.roles
     seen, hidden = roles.chains[c], set(roles.chains[-1].names)
     others = [term for term, mine in zip(terms, allowed[c], strict=True) if mine and not term.names & hidden]
@@ -259,10 +264,11 @@ def _rest(
         rows.columns[seen.target] - gram.target_mean - (D - gram.mean) @ coef
         for rows, D in zip(motion.records, columns, strict=True)
     ]
-    places = roles.inputs if seen.static else seen.names[:1]
-    springs = [i for i, term in enumerate(others) if isinstance(term.tree, Symbol) and term.text in places]
-    spring = max(springs, key=lambda i: abs(coef[i]) * unit[i], default=None)
-    return left, None if spring is None else [coef[spring] * D[:, spring] for D in columns]
+    index = {term.text: i for i, term in enumerate(others) if isinstance(term.tree, Symbol)}
+    places = [name for name in (roles.inputs if seen.static else seen.names[:2]) if name in index]
+    if seen.static:
+        places.sort(key=lambda name: -abs(coef[index[name]]) * unit[index[name]])
+    return left, [[coef[index[name]] * D[:, index[name]] for D in columns] for name in places[:2]]
 
 
 def _as_factor(

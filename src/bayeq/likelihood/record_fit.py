@@ -25,7 +25,7 @@ from bayeq.likelihood.fit import Quadratic, State, candidates, of_stated, solved
 from bayeq.likelihood.hidden import law_constants, with_laws_of
 from bayeq.likelihood.layout import Stated
 from bayeq.likelihood.levels import LEAST_NOISE
-from bayeq.likelihood.model import Fitted, Task, calmed, finished, fit, from_all_levels, of_motion, with_model
+from bayeq.likelihood.model import NOTICED, Fitted, Task, calmed, finished, fit, from_all_levels, of_motion, with_model
 from bayeq.likelihood.nodes import first_members, fresh
 from bayeq.likelihood.profile import Profile, profile_of
 from bayeq.likelihood.projection import Leftover, leftover
@@ -483,6 +483,8 @@ def _fitted(
         raise np.linalg.LinAlgError("no search leads to a likelihood that can be evaluated")
     if any(chain.stated for chain in motion.roles.chains):  # a wrong lag looks like another course of an input
         pairs = [settled(some, task, finished(task, fitted)) for task, fitted in pairs]
+    elif motion.roles.hidden:
+        pairs = _among_all_neighbours(pairs)
     (task, fitted), *others = sorted(pairs, key=lambda pair: -pair[1].evidence)
     rivals = as_likely(task, fitted, others)
     task, fitted = with_other_inputs(some, task, fitted)
@@ -492,6 +494,17 @@ def _fitted(
     unequal, state = with_unequal_noise(task, fitted.state, motion.sensors)
     fitted = finished(task, fitted) if unequal is task else resumed(unequal, state)
     return _checked(replace(RecordFit.of(unequal, fitted), forms=forms, rivals=rivals))
+
+
+def _among_all_neighbours(pairs: Sequence[tuple[Task, Fitted]]) -> list[tuple[Task, Fitted]]:
+    """Fits of a hidden state from several first paths, likeliest first, moved to better neighbours as long as the best
+    one leaves a discrepancy to be noticed: along a poor path the terms of its law are not seen."""
+    found: list[tuple[Task, Fitted]] = []
+    for task, fitted in sorted(pairs, key=lambda pair: -pair[1].evidence):
+        found.append(among_neighbours(task, finished(task, fitted)))
+        if max(found, key=lambda pair: pair[1].evidence)[1].state.levels.kappa.max() < NOTICED:
+            break
+    return found
 
 
 def as_likely(task: Task, fitted: Fitted, others: Sequence[tuple[Task, Fitted]]) -> tuple[Mapping[str, float], ...]:
