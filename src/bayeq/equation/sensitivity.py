@@ -345,12 +345,10 @@ def draw_pip_curves(rows: Mapping[str, Sequence[PipCurve]]) -> Figure:
 def _frame(ax: Axes, curve: PipCurve) -> None:
     """Set the scales and labels, and mark the value used."""
     x, used = curve.values, float(curve.values[curve.current])
-    ax.set_xscale("log")
     margin = (x[-1] / x[0]) ** 0.03 if len(x) > 1 else 2.0
-    ax.set_xlim(x[0] / margin, x[-1] * margin)
-    ax.set_ylim(-0.03, 1.03)
+    limits = (x[0] / margin, x[-1] * margin)
+    ax.set(xscale="log", xlim=limits, ylim=(-0.03, 1.03), xlabel=LABELS[curve.axis_name])
     log_ticks(ax.xaxis)
-    ax.set_xlabel(LABELS[curve.axis_name])
     ax.axhline(0.5, color=BLACK, linestyle=(0, (4, 2)), linewidth=0.6)
     ax.axvline(used, color=BLACK, linestyle=(0, (1, 1.5)), linewidth=0.9)
     above: dict[str, Any] = {"xycoords": ax.get_xaxis_transform(), "ha": "center", "va": "bottom", "fontsize": 7}

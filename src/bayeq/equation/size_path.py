@@ -282,8 +282,7 @@ def _mark(ax: Axes, path: ParsimonyPath, values: Sequence[float] | Floats, label
 
 def _number_sizes(ax: Axes, path: ParsimonyPath) -> None:
     """Label the horizontal axis: number of terms, and below it the terms added and removed."""
-    ax.set_xlim(path.size[0] - 0.5, path.size[-1] + 0.5)
-    ax.set_xticks(path.size)
+    ax.set(xlim=(path.size[0] - 0.5, path.size[-1] + 0.5), xticks=path.size)
     ax.xaxis.remove_overlapping_locs = False  # minor ticks at the places of major ones
     changes = []
     for step in path.steps:

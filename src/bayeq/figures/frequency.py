@@ -106,9 +106,8 @@ def spectra(eq: style.Answer, record: Record, ax: Any = None, *, channel: str | 
     whole, run_s, left = densities
     above_noise = np.flatnonzero(run_s > left)  # beyond, the run is below the residual
     last = TAIL * float(f[above_noise[-1]]) if len(above_noise) else fs
-    ax.set_xlim(0.0, min(last, fs / 2.0))
     highest, least = float(whole.max()), float(np.minimum(whole, left)[f <= last].min())
-    ax.set_ylim(max(0.1 * least, 1e-12 * highest), 3.0 * highest)
+    ax.set(xlim=(0.0, min(last, fs / 2.0)), ylim=(max(0.1 * least, 1e-12 * highest), 3.0 * highest))
     ax.set_xlabel(style.frequency_label(eq))
     unit = eq.units.get(name, "")
     ax.set_ylabel(style.plain(f"PSD of {name}" + (f" [{style.bracketed(unit)}²/Hz]" if unit else " [1/Hz]")))
@@ -181,19 +180,14 @@ def frequency_response(
         lower.plot(f, phase, **look)
     over, below = (eq.units.get(one) for one in (name, source))
     unit = f" [{style.bracketed(over)}/{style.bracketed(below)}]" if over and below else ""
-    upper.set_ylabel(style.plain(f"|{name}/{source}|{unit}"))
-    lower.set_ylabel("phase [°]")
-    lower.set_yticks([-270, -180, -90, 0, 90])
-    lower.set_ylim(-280.0, 100.0)
-    upper.set_yscale("log")
+    title = f"response of {style.term_label(name)} to {style.term_label(source)}"
+    upper.set(yscale="log", ylabel=style.plain(f"|{name}/{source}|{unit}"), title=title)
+    lower.set(ylabel="phase [°]", yticks=[-270, -180, -90, 0, 90], ylim=(-280.0, 100.0))
     for one in third:
-        one.set_ylabel("coherence")
-        one.set_ylim(0.0, 1.05)
+        one.set(ylabel="coherence", ylim=(0.0, 1.05))
     last = (third or [lower])[0]
-    last.set_xscale("log")
-    last.set_xlabel(f"{style.frequency_label(eq)}, resolved to {f[0]:.2g}")
-    last.set_xlim(float(f[0]), float(f[driven].max()))
+    across = f"{style.frequency_label(eq)}, resolved to {f[0]:.2g}"
+    last.set(xscale="log", xlim=(float(f[0]), float(f[driven].max())), xlabel=across)
     style.log_ticks(last.xaxis)
-    upper.set_title(f"response of {style.term_label(name)} to {style.term_label(source)}")
     style.above(upper)
     return upper, lower

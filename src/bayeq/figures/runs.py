@@ -42,8 +42,7 @@ def _compare(ax: Axes, time: Floats, measured: Floats | None, curve: Curve, labe
     known = known[np.isfinite(known)]
     low, high = (float(known.min()), float(known.max())) if len(known) else (-1.0, 1.0)
     margin = 0.15 * (high - low) or max(abs(low), 1.0)
-    ax.set_ylim(low - margin, high + margin)
-    ax.set_xlim(float(time[0]), float(time[-1]))
+    ax.set(xlim=(float(time[0]), float(time[-1])), ylim=(low - margin, high + margin))
     if measured is not None:
         ax.plot(time[every], measured[every], **MEASURED | {"label": of})
     _band(ax, time[every], curve[1:], every, "95 % band")
@@ -65,8 +64,7 @@ def _residual(ax: Axes, time: Floats, measured: Floats, curve: Curve, label: str
     mean, *ends = curve
     residual = measured - mean
     reach = 1.15 * float(np.abs(residual[np.isfinite(residual)]).max(initial=0.0)) or 1.0
-    ax.set_ylim(-reach, reach)
-    ax.set_xlim(float(time[0]), float(time[-1]))
+    ax.set(xlim=(float(time[0]), float(time[-1])), ylim=(-reach, reach))
     ax.axhline(0.0, color=style.BLACK, linewidth=0.5)
     _band(ax, time[every], [None if end is None else end - mean for end in ends], every)
     ax.plot(time[every], residual[every], color=style.ORANGE, linewidth=0.9, label=f"residual: {of} less {label}")
@@ -173,8 +171,7 @@ def free_run(
     _state(upper, run, name)
     _residual(lower, run.time, run.measured[name], _curve(run, name), "free run")
     _mark_blow_up(lower, run)
-    lower.set_ylabel(style.label_of(name, run.units, "residual"))
-    lower.set_xlabel(style.time_label(eq))
+    lower.set(xlabel=style.time_label(eq), ylabel=style.label_of(name, run.units, "residual"))
     error = run.measured[name] - run.mean[name]
     spread = float(np.nanstd(run.measured[name]))
     share = float(np.sqrt(np.nanmean(error**2))) / spread if spread > 0 and np.isfinite(error).any() else np.nan
@@ -243,10 +240,10 @@ def one_step(
     curve = (mean, mean - Z95 * sd, mean + Z95 * sd)
     _compare(upper, time, measured, curve, "one step", style.given_as(eq, equation.target))
     _residual(lower, time, measured, curve, "one step", style.given_as(eq, equation.target))
-    upper.set_ylabel(style.label_of(equation.target, equation.units))
-    lower.set_ylabel(style.label_of(equation.target, equation.units, "residual"))
-    lower.set_xlabel("row" if motion.time is None else style.time_label(eq))
-    upper.set_title(f"one step of {style.term_label(equation.target)}")
+    across = "row" if motion.time is None else style.time_label(eq)
+    lower.set(xlabel=across, ylabel=style.label_of(equation.target, equation.units, "residual"))
+    label = style.label_of(equation.target, equation.units)
+    upper.set(ylabel=label, title=f"one step of {style.term_label(equation.target)}")
     style.above(upper)
     return upper, lower
 
@@ -364,7 +361,6 @@ def phase_portrait(
         low, high = float(values.min()), float(values.max())
         margin = 0.1 * (high - low) or 1.0
         fit(low - margin, high + margin)
-    ax.set_xlabel(style.label_of(chosen[0], eq.units))
-    ax.set_ylabel(style.label_of(chosen[1], eq.units))
+    ax.set(xlabel=style.label_of(chosen[0], eq.units), ylabel=style.label_of(chosen[1], eq.units))
     style.above(ax, handlelength=1.4, columnspacing=0.9)
     return ax

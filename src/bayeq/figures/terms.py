@@ -39,8 +39,7 @@ def _bars(ax: Axes, labels: Sequence[str], pip: Sequence[float], shown: Sequence
             ax.barh(at[chosen], length[chosen], 0.62, color=colour, edgecolor=style.BLACK, linewidth=0.5, label=label)
     ax.axvline(0.5, color=style.RED, linestyle=style.DASHED, linewidth=0.8)
     ax.set_yticks(at, labels)
-    ax.set_ylim(max(len(at), 3) - 0.4, -0.6)
-    ax.set_xlim(0.0, 1.0)
+    ax.set(xlim=(0.0, 1.0), ylim=(max(len(at), 3) - 0.4, -0.6))
 
 
 def draw_terms(by_target: Mapping[str, Sequence[tuple[str, float, str]]], score: str, ax: Any) -> list[Axes]:
@@ -160,9 +159,8 @@ def coefficient_forest(
         error = 100.0 * (true - coef[known]) / np.abs(coef[known])
         ax.plot(error, at[known], "D", color=style.RED, markerfacecolor="none", markersize=5.0, label="true")
     ax.set_yticks(at, [style.term_label(names[j], names) for j in kept])
-    ax.set_ylim(max(len(kept), 3) - 0.4, -0.6)
     reach = 1.15 * float(np.abs(off).max(initial=1e-6))
-    ax.set_xlim(-reach, reach)
+    ax.set(xlim=(-reach, reach), ylim=(max(len(kept), 3) - 0.4, -0.6))
     for place, (j, value, spread) in enumerate(zip(kept, coef, sd, strict=True)):
         unit = shortened(style.unit_text(equation.coef_units[j] or ""))
         text = _number(value, spread) + (f" {unit}" if unit not in ("", "1") else "")

@@ -403,10 +403,8 @@ def _drawn(plan: Plan) -> Figure:
         (spectrum, "frequency [Hz]", "amplitude of a line"),
         (start, "time [s]", ", ".join(plan.inputs)),
     ):
-        ax.set_xlabel(along)
-        ax.set_ylabel(f"{up} [{unit}]" if unit else up)
-    spectrum.set_ylim(bottom=0.0)
-    spectrum.set_title("the best: spectrum")
+        ax.set(xlabel=along, ylabel=f"{up} [{unit}]" if unit else up)
+    spectrum.set(ylim=(0.0, None), title="the best: spectrum")
     start.set_title(f"the best: {'all of it' if first.all() else 'its beginning'}")
     if len(plan.inputs) > 1:
         start.legend(loc="upper right", ncols=2, fontsize=7)
@@ -427,10 +425,8 @@ def _rates(ax: Axes, shown: Sequence[Outcome], units: Mapping[str, str], purpose
         colour, marker = LOOKS[kinds.index(one.design.kind) % len(LOOKS)]
         ax.plot([max(one.rate - one.sd, least), one.rate + one.sd], [row, row], color=colour, linewidth=1.0)
         ax.plot([max(one.rate, least)], [row], color=colour, marker=marker, markersize=3.6)
-    ax.set_xscale("log")
-    ax.set_xlim(least, 1.5 * max(one.rate + one.sd for one in shown))
+    ax.set(xscale="log", xlim=(least, 1.5 * max(one.rate + one.sd for one in shown)), ylim=(len(shown) - 0.4, -0.6))
     log_ticks(ax.xaxis)
-    ax.set_ylim(len(shown) - 0.4, -0.6)
     ax.set_yticks(range(len(shown)), labels)
     ax.grid(axis="y", linewidth=0.3, alpha=0.4)
     told = "against the closest rival" if purpose == "models" else "about the coefficients"
