@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,12 +16,14 @@ from scipy.stats import kstest
 
 import bayeq as bq
 from bayeq.equation.brief import brief
+from bayeq.equation.build import doubted
 from bayeq.equation.selection.alternatives import Alternatives, alternatives_to
 from bayeq.equation.selection.excitation import Repeating
-from bayeq.equation.verdict import KINDS, Verdict, doubted, worst
+from bayeq.equation.verdict import KINDS, Verdict, worst
 from bayeq.likelihood.adequacy import Adequacy, Change, Discrepancy, Octave, chance_of, octaves_of, turn_of
 from bayeq.likelihood.low_pass import feedback, mean_spectrum, spectrum_of, step_variance
 from bayeq.numerics.distributions import incomplete_beta
+from bayeq.regression.residuals import Fit, Residuals
 from bayeq.states import Roles
 from tests.draws import draws
 
@@ -157,8 +160,12 @@ def test_verdicts_from_the_worst():
     more, less = (Change(0, "the constant", 0.05, share, 1e-9) for share in (0.018, 0.01))
     (chain,) = Roles.parse("x:v:a").chains
 
-    def verdict_of(*doubts, verdict=found, **more):
-        return doubted(verdict, chain, *doubts, **more)
+    def verdict_of(*doubts, verdict=found, changing=None, exact=1.0, left=None, gains=(), n_eff=100.0, again=None):
+        equation = SimpleNamespace(
+            verdict=verdict, chain=chain, error_probability=1.0 - exact, error_share=left, unit_gains=gains,
+            residuals=Residuals(100, 0.0, n_eff), train=Fit(100, 0.9, 0.3),
+        )  # fmt: skip
+        return doubted(equation, *doubts, changing, again, as_measured=True)
 
     assert verdict_of(none, None, None) is found
     cases = [
@@ -178,10 +185,14 @@ def test_verdicts_from_the_worst():
         (verdict_of(none, None, None, changing=more._replace(relative=-3.0)), "nearly true", "changes its sign"),
         (verdict_of(none, lacking, None, changing=more._replace(relative=-3.0)), "nearly true", "3 % of a is not"),
         (verdict_of(none, lacking, None, left=0.02, changing=less), "nearly true", "2 % of a is not explained"),
-        (verdict_of(none, None, None, n_eff=(40.2, 100)), "nearly true", "100 rows tell as much as 40 independent"),
+        (verdict_of(none, None, None, n_eff=40.2), "nearly true", "100 rows tell as much as 40 independent"),
         (verdict_of(none, None, None, left=0.3), "nearly true", "30 % of a is not explained by these terms"),
         (verdict_of(none, None, None, left=0.1), "found", "R2 1"),
-        (verdict_of(none, None, None, reversed_channel="v"), "not determined", "x and v contradict each other in sign"),
+        (
+            verdict_of(none, None, None, gains=(1.0, -1.0, 1.0)),
+            "not determined",
+            "x and v contradict each other in sign",
+        ),
         (verdict_of(none, None, None, again=Repeating(2.0, 3, 9)), "not determined", "repeats itself at 2 Hz"),
         (verdict_of(none, None, None, again=Repeating(2.0, 3, 9, True)), "not determined", "alone: a = -157.9*x"),
         (verdict_of(others, lacking, hum, verdict=Verdict("none", "nothing")), "none", "nothing"),

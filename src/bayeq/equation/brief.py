@@ -133,12 +133,7 @@ def _intervals(equation: Equation, names: Sequence[str], without_constant: bool 
     *rows, constant = text.rows_of(equation)
     known = {**{row.name: row for row in rows}, "constant": constant}
     listed = [*names, *(["constant"] if equation.intercept_matters and not without_constant else [])]
-    return ", ".join(f"{name} ({_marked(known[name])})" if name in known else name for name in listed)
-
-
-def _marked(row: text.Row) -> str:
-    """The interval of a term, marked where it is over models."""
-    return row.interval + f" {text.MARK}" * row.over_models
+    return ", ".join(f"{name} ({known[name].marked})" if name in known else name for name in listed)
 
 
 def _wrapped(words: str, indent: str = "  ") -> list[str]:
@@ -238,11 +233,11 @@ def _table(equation: Equation, score: str, marked: bool) -> list[str]:
     table = [("term", "coefficient", "95 % interval", "unit", score)]
     for row in rows:
         if row.coefficient or (with_pip and row.pip >= NOTEWORTHY_PIP):
-            number = row.coefficient or "not in it"
-            interval = _marked(row) if marked else row.interval
-            table.append((text.with_names(row.name, short), number, interval, row.unit, row.score))
+            interval = row.marked if marked else row.interval
+            name, number = text.with_names(row.name, short), row.coefficient or "not in it"
+            table.append((name, number, interval, row.unit, row.score))
     if equation.intercept_matters:
-        ends = _marked(constant) if marked else constant.interval
+        ends = constant.marked if marked else constant.interval
         table.append(("constant", constant.coefficient, ends, constant.unit, ""))
     kept = [0, 1, 2, *([3] if any(row[3] for row in table[1:]) else []), *([4] if with_pip else [])]
     return [f"    {line}" for line in aligned([[printable(row[k]) for k in kept] for row in table], left=(0, 3))]
@@ -280,7 +275,7 @@ def series(equation: Equation) -> Iterator[str]:
     bent = [term.text for term in equation.terms if term.text in equation.shown and term.names == {x}]
     bent = [name for name in bent if name not in (x, f"{x}**3")]
     if equation.chain.order == 2 and len(bent) > MOST_BENT and not equation.constants:
-        yield printable(f"{', '.join(bent)} may be a kink: try --dictionary 'oscillator + max({x}-{{g}},0)'")
+        yield f"{', '.join(bent)} may be a kink: try --dictionary 'oscillator + max({x}-{{g}},0)'"
 
 
 def offset(equation: Equation) -> Iterator[str]:
@@ -296,7 +291,7 @@ def offset(equation: Equation) -> Iterator[str]:
     if driven[0].isidentifier() and np.allclose(evaluate_terms(own, motion), -evaluate_terms(own, back)):
         size = -equation.shown_model.intercept / equation.shown_coef[driven[0]]
         remedy = f"--remove-offset {driven[0]}={size:.4g}"
-        yield printable(f"but for the constant the law is odd: {driven[0]} may have an offset: {remedy}")
+        yield f"but for the constant the law is odd: {driven[0]} may have an offset: {remedy}"
 
 
 def failed(equation: Equation) -> Iterator[str]:
@@ -367,12 +362,12 @@ def as_html(eq: Answer) -> str:
     header = (*HEADER, ENGINES[eq.method].score, "unit")
     for equation in eq.equations:
         terms = [
-            (row.name, row.coefficient or "not in it", row.sd, _marked(row), row.score, row.unit)
+            (row.name, row.coefficient or "not in it", row.sd, row.marked, row.score, row.unit)
             for row in _listed(equation)
         ]
         if equation.intercept_matters:
             constant = text.rows_of(equation)[-1]
-            terms.append(("1", constant.coefficient, constant.sd, _marked(constant), "", constant.unit))
+            terms.append(("1", constant.coefficient, constant.sd, constant.marked, "", constant.unit))
         width = len(header) if any(row[-1] for row in terms) else len(header) - 1
         parts += [code(equation.text), table(header[:width], [row[:width] for row in terms])]
     physical = own_parameters(eq)

@@ -13,22 +13,23 @@ from bayeq.equation.answer import with_shown
 from bayeq.equation.cancelling import common_root
 from bayeq.equation.equation import Equation, RunnerUp
 from bayeq.equation.plan.information import likeliest_models
-from bayeq.equation.selection.alternatives import alternatives_to, bounds, undetermined
+from bayeq.equation.selection.alternatives import Alternatives, alternatives_to, bounds, undetermined
 from bayeq.equation.selection.excitation import Repeating, repeating
 from bayeq.equation.selection.select import Selection
 from bayeq.equation.verdict import (
+    CAREFUL,
     LEAST_SHOWN,
     LONGER,
     Verdict,
     Window,
     alike,
-    doubted,
     judge,
     noise_share,
     suspecting,
     window_errors,
     with_clipping,
 )
+from bayeq.equation.written import chance
 from bayeq.errors import (
     AmbiguityWarning,
     BayeqWarning,
@@ -40,18 +41,23 @@ from bayeq.errors import (
     some_of,
 )
 from bayeq.forecast.dynamics import Dynamics
-from bayeq.forecast.score import Scores, held_out_scores
+from bayeq.forecast.score import Scores, held_out_scores, percent
 from bayeq.inference.collapsed.path import model_log_posterior, partial_shares
 from bayeq.inference.collapsed.search import neighbours
 from bayeq.inference.engines import ENGINES
 from bayeq.inference.posterior import Posterior
+from bayeq.likelihood.adequacy import Change, Discrepancy, Octave
 from bayeq.likelihood.channels import Suspect
-from bayeq.numerics.settings import EQUATION
+from bayeq.numerics.settings import EQUATION, LIKELIHOOD
 from bayeq.records.names import in_si, parse_unit
 from bayeq.regression.fit import CONTRADICTED, RegressionFit
 from bayeq.regression.regression import RecordRegression, Regression, changes_by_noise, inputs_of_hidden_noise
-from bayeq.states import Motion
+from bayeq.states import Chain, Motion
 from bayeq.states.sensors import of_no_unit
+
+# A law that leaves more than this share of the target's standard deviation is at best nearly true: in a short record
+# tests may not reject it.
+MUCH = 0.2
 
 # If the record gives a smaller share of the precision of a stated coefficient, rounding hides the record's estimate.
 TOLD = 1e-8
@@ -223,29 +229,10 @@ def exchangeable(equation: Equation, equations: Sequence[Equation]) -> str | Non
 def _doubted(equation: Equation, selection: Selection, tolerance: float, again: Repeating | None) -> Verdict:
     # if terms were left out within the tolerance, the full model is compared with the alternatives
     full, regression = selection.full or selection, selection.shown_fit.regression
-    lacking, coloured, change = regression.tests()
     # predictions may also differ by tau, the size of the function that the law lacks by the likelihood
     within = max(tolerance, equation.tau)
     others = alternatives_to(full.shown_fit, full.shown_fit.expanded(full.shown), within, equation.tau == 0.0)
-    exact = 1.0 - (equation.error_probability or 0.0)
-    gains = zip(equation.chain.measured, equation.unit_gains, strict=False)
-    reversed_channel = next((name for name, gain in gains if name is not None and gain < 0.0), None)
-    left, dependent = equation.residuals, None
-    if regression.counts_rows and equation.train.nrmse > LEAST_SHOWN and left.n_eff < EQUATION.independent * left.n:
-        dependent = left.n_eff, left.n  # most rows hold no new information
-    verdict = doubted(
-        equation.verdict,
-        equation.chain,
-        others,
-        lacking,
-        coloured,
-        again,
-        exact,
-        equation.error_share,
-        reversed_channel,
-        dependent,
-        change,
-    )
+    verdict = doubted(equation, others, *regression.tests(), again, regression.counts_rows)
     late = _late(equation, regression.motion) if verdict.kind != "found" else None
     suspect = late or regression.suspect
     # what a small lag leaves goes with a slope, and so seems to be a quarter of a period late: the likelihood knows it
@@ -282,6 +269,103 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
         return verdict
     reason = f"{equation.posterior.details.method} did not converge: probabilities of terms may be off"
     return Verdict("not determined", reason, "give fewer candidate terms, or compare with another method")
+
+
+def doubted(
+    equation: Equation,  # with the verdict of `judge`
+    others: Alternatives,  # models with other predictions
+    lacking: Discrepancy | None,  # the force that the motion needs and the terms do not explain
+    coloured: Octave | None,  # octave in which a channel's innovations are not white
+    changing: Change | None,  # a coefficient that changes over the record
+    again: Repeating | None = None,  # periodic motion that does not distinguish the candidates
+    as_measured: bool = False,  # whether the regression counts rows as they were measured
+) -> Verdict:
+    """The verdict of an equation, reconsidered: whether the record determines it, and whether it is complete."""
+    verdict, chain, share = equation.verdict, equation.chain, equation.error_share
+    target, rate = chain.target, "per sample" if chain.discrete else "Hz"
+    if verdict.kind in ("none", "not determined") or chain.stated:
+        return verdict
+    if share is None:
+        share = 0.0 if lacking is None else lacking.size
+    if share >= EQUATION.as_the_mean:
+        return Verdict("none", f"no equation found: the terms leave no less of {target} than its mean does")
+    if again is not None:
+        return _on_one_orbit(again, chain, rate)
+    for name, gain in zip(chain.measured, equation.unit_gains, strict=False):
+        if name is not None and gain < 0.0:
+            signs = f"{chain.measured[chain.lowest]} and {name} contradict each other in sign"
+            return Verdict("not determined", signs, "reverse one of them")
+    if others.probability > EQUATION.doubt:
+        change = [f"with {', '.join(others.enter)}"] if others.enter else []
+        change += [f"without {', '.join(others.leave)}"] if others.leave else []
+        return Verdict(
+            "not determined",
+            f"other equations, which predict another {target}, have {100 * min(others.probability, 0.99):.2g} % of the"
+            f" probability, the likeliest {' and '.join(change) or 'with another constant'}",
+            LONGER,
+        )
+    unexplained = f"{percent(share)} of {target} is not explained by these terms"
+    # a changing coefficient explains most of the discrepancy; one that changes sign may stand for a missing term
+    if changing is not None and changing.share > share * math.sqrt(0.5) and not changing.reverses:
+        return _changing(changing)
+    exact = 1.0 - (equation.error_probability or 0.0)
+    if exact < LIKELIHOOD.nearly_true and not share < LIKELIHOOD.misfit_least:
+        return Verdict(
+            "nearly true",
+            f"{unexplained}; what is missing depends on the states",
+            f"{CAREFUL}: add terms, and check the calibration and timing of the channels",
+        )
+    # a chaotic map is linearised within the error of its path, which leaves a small discrepancy
+    if lacking is not None and not (chain.discrete and share < LEAST_SHOWN):
+        low, high = lacking.octave
+        return Verdict(
+            "nearly true",
+            f"{unexplained}, mostly at {in_digits(low)} to {in_digits(high)} {rate}",
+            f"{CAREFUL}: add inputs or terms, and check the timing of the channels",
+        )
+    if changing is not None:
+        return _changing(changing)
+    if coloured is not None:
+        return Verdict(
+            "nearly true",
+            f"what is left of {coloured.channel} is not white noise: {in_digits(coloured.ratio)} times as much between"
+            f" {in_digits(coloured.low)} and {in_digits(coloured.high)} {rate} ({chance(coloured.p, 1)})",
+            f"{CAREFUL}: check calibration, timing, filters and hum of {coloured.channel}",
+        )
+    n, n_eff = equation.residuals.n, equation.residuals.n_eff
+    # most rows hold no new information
+    if as_measured and equation.train.nrmse > LEAST_SHOWN and n_eff < EQUATION.independent * n:
+        return Verdict(
+            "nearly true",
+            f"the residuals are no white noise: {n} rows tell as much as {n_eff:.0f} independent ones",
+            "give the channels as they were measured: filters, of zero phase too, leave what looks like a law",
+        )
+    if share > MUCH:
+        return Verdict("nearly true", unexplained, f"{CAREFUL}: add terms or inputs")
+    return verdict
+
+
+def _on_one_orbit(again: Repeating, chain: Chain, rate: str) -> Verdict:
+    on_it = f"on it the {again.terms} candidates take {again.courses} independent courses"
+    reason = f"the motion repeats itself at {again.frequency:.4g} {rate}, and {on_it}"
+    if again.single and chain.order == 2 and not chain.discrete:
+        square = (2.0 * math.pi * again.frequency) ** 2
+        alone = f"determines that alone: {chain.target} = -{square:.4g}*{chain.states[0]}"
+        reason = f"the motion has one frequency, {again.frequency:.4g} Hz, and {alone}; {on_it}"
+    return Verdict(
+        "not determined",
+        f"{reason}: other equations are the same there",
+        "excite more frequencies and amplitudes (noise, a sweep or a multisine: bayeq plan), or give fewer terms",
+    )
+
+
+def _changing(one: Change) -> Verdict:
+    size = "its sign" if one.reverses else f"by {100.0 * one.relative:+.2g} %"
+    return Verdict(
+        "nearly true",
+        f"{one.of} changes {size} over the record ({chance(one.p, 1)})",
+        f"{CAREFUL}: answer parts of the record apart (--rows), or offer t times the term",
+    )
 
 
 def _late(equation: Equation, motion: Motion) -> Suspect | None:

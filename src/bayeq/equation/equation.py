@@ -55,9 +55,7 @@ class RunnerUp:
         return written.odds_text(self.log_odds)
 
     def __str__(self) -> str:
-        if self.leaves and self.enters:
-            return f"{self.enters} instead of {self.leaves}"
-        return f"without {self.leaves}" if self.leaves else f"with {self.enters} added"
+        return written.difference(self.enters, self.leaves)
 
 
 @dataclass(frozen=True, eq=False)

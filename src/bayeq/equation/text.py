@@ -228,9 +228,9 @@ def _print_table(
         for name in extra:
             table.add_column(name, justify="left" if name == "unit" else "right", no_wrap=True)
         for row in rows:
-            numbers = row.coefficient or row.absent, row.sd, row.interval + f" {MARK}" * row.over_models
             further = (escape(getattr(row, name)) for name in extra)
-            table.add_row(with_names(escape(row.name), names), *numbers, row.score, *further)
+            number = row.coefficient or row.absent
+            table.add_row(with_names(escape(row.name), names), number, row.sd, row.marked, row.score, *further)
         needed = console.measure(table, options=console.options.update(width=WIDE)).maximum
         if not (terminal and extra and needed > console.width):
             break
@@ -307,6 +307,11 @@ class Row:
     pip: float = math.nan  # posterior inclusion probability; NaN for a constant or the intercept
     share: str = ""  # share of the target's variance
     unit: str = ""
+
+    @property
+    def marked(self) -> str:
+        """The interval, marked where it is the one over models."""
+        return self.interval + f" {MARK}" * self.over_models
 
     @property
     def score(self) -> str:

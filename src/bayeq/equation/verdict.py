@@ -12,21 +12,16 @@ import numpy as np
 
 from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
-from bayeq.equation.selection.alternatives import Alternatives
-from bayeq.equation.selection.excitation import Repeating
-from bayeq.equation.written import chance
 from bayeq.errors import in_digits
 from bayeq.expressions.implicit import multiplied
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import typical_period, window_runs
 from bayeq.forecast.rows import divided, rows_of
-from bayeq.forecast.score import percent
-from bayeq.likelihood.adequacy import Change, Discrepancy, Octave
 from bayeq.likelihood.channels import Suspect
-from bayeq.numerics.settings import EQUATION, LIKELIHOOD
+from bayeq.numerics.settings import EQUATION
 from bayeq.regression.regression import Regression
 from bayeq.regression.residuals import Fit
-from bayeq.states import Chain, Motion
+from bayeq.states import Motion
 
 Kind = Literal["none", "not determined", "nearly true", "found"]
 
@@ -48,10 +43,6 @@ CAREFUL = "parameters may be off by more than their intervals say"
 # Most rows at which mass matrices are examined. A determinant counts as 0 below this share of the sum of the magnitudes
 # of its products: coefficients that are wrong by as much change its sign.
 MOST_MATRICES, SINGULAR = 500, 0.01
-
-# A law that leaves more than this share of the target's standard deviation is at best nearly true: in a short record
-# tests may not reject it.
-MUCH = 0.2
 
 
 # Free runs and the states of the rows there, in units of the spread and noise of the whole motion.
@@ -139,82 +130,6 @@ def judge(
     return Verdict("found", f"{rows}{'; ' if rows else ''}{within}")
 
 
-def doubted(
-    verdict: Verdict,  # from `judge`
-    chain: Chain,  # its highest derivative is the left-hand side
-    others: Alternatives,  # models with other predictions
-    lacking: Discrepancy | None,  # the force that the motion needs and the terms do not explain
-    coloured: Octave | None,  # octave in which a channel's innovations are not white
-    again: Repeating | None = None,  # periodic motion that does not distinguish the candidates
-    exact: float = 1.0,  # probability that the law lacks no function of the states
-    left: float | None = None,  # share of the target's standard deviation that the terms leave beside noise
-    reversed_channel: str | None = None,  # channel whose sign contradicts the lowest channel of its chain
-    # effective number of residuals and their number, if the first is less than half of it; only of rows as measured
-    n_eff: tuple[float, int] | None = None,
-    changing: Change | None = None,  # a coefficient that changes over the record
-) -> Verdict:
-    """The verdict of `judge`, reconsidered: whether the record determines the equation, and whether it is complete."""
-    target, rate = chain.target, "per sample" if chain.discrete else "Hz"
-    if verdict.kind in ("none", "not determined") or chain.stated:
-        return verdict
-    share = left if left is not None else 0.0 if lacking is None else lacking.size
-    if share >= EQUATION.as_the_mean:
-        return Verdict("none", f"no equation found: the terms leave no less of {target} than its mean does")
-    if again is not None:
-        return _on_one_orbit(again, chain, rate)
-    if reversed_channel is not None:
-        return Verdict(
-            "not determined",
-            f"{chain.measured[chain.lowest]} and {reversed_channel} contradict each other in sign",
-            "reverse one of them",
-        )
-    if others.probability > EQUATION.doubt:
-        change = [f"with {', '.join(others.enter)}"] if others.enter else []
-        change += [f"without {', '.join(others.leave)}"] if others.leave else []
-        return Verdict(
-            "not determined",
-            f"other equations, which predict another {target}, have {100 * min(others.probability, 0.99):.2g} % of the"
-            f" probability, the likeliest {' and '.join(change) or 'with another constant'}",
-            LONGER,
-        )
-    unexplained = f"{percent(share)} of {target} is not explained by these terms"
-    # a changing coefficient explains most of the discrepancy; one that changes sign may stand for a missing term
-    if changing is not None and changing.share > share * math.sqrt(0.5) and not changing.reverses:
-        return _changing(changing)
-    if exact < LIKELIHOOD.nearly_true and not share < LIKELIHOOD.misfit_least:
-        return Verdict(
-            "nearly true",
-            f"{unexplained}; what is missing depends on the states",
-            f"{CAREFUL}: add terms, and check the calibration and timing of the channels",
-        )
-    # a chaotic map is linearised within the error of its path, which leaves a small discrepancy
-    if lacking is not None and not (chain.discrete and share < LEAST_SHOWN):
-        low, high = lacking.octave
-        return Verdict(
-            "nearly true",
-            f"{unexplained}, mostly at {in_digits(low)} to {in_digits(high)} {rate}",
-            f"{CAREFUL}: add inputs or terms, and check the timing of the channels",
-        )
-    if changing is not None:
-        return _changing(changing)
-    if coloured is not None:
-        return Verdict(
-            "nearly true",
-            f"what is left of {coloured.channel} is not white noise: {in_digits(coloured.ratio)} times as much between"
-            f" {in_digits(coloured.low)} and {in_digits(coloured.high)} {rate} ({chance(coloured.p, 1)})",
-            f"{CAREFUL}: check calibration, timing, filters and hum of {coloured.channel}",
-        )
-    if n_eff is not None:
-        return Verdict(
-            "nearly true",
-            f"the residuals are no white noise: {n_eff[1]} rows tell as much as {n_eff[0]:.0f} independent ones",
-            "give the channels as they were measured: filters, of zero phase too, leave what looks like a law",
-        )
-    if share > MUCH:
-        return Verdict("nearly true", unexplained, f"{CAREFUL}: add terms or inputs")
-    return verdict
-
-
 def suspecting(verdict: Verdict, found: Suspect, seconds: float) -> Verdict:
     """The verdict, at best nearly true, with advice on a channel that seems off; `seconds` is the record's length."""
     name, size, above = found.channel, abs(found.value), found.value > 0.0
@@ -253,29 +168,6 @@ def with_clipping(verdict: Verdict, name: str, share: float) -> Verdict:
         return replace(verdict, advice=f"{before}{said}: {larger}")
     reason = said if verdict.kind == "found" else f"{said}; {verdict.reason}"
     return Verdict("nearly true", reason, f"{CAREFUL}, and terms may be false: {larger}")
-
-
-def _on_one_orbit(again: Repeating, chain: Chain, rate: str) -> Verdict:
-    on_it = f"on it the {again.terms} candidates take {again.courses} independent courses"
-    reason = f"the motion repeats itself at {again.frequency:.4g} {rate}, and {on_it}"
-    if again.single and chain.order == 2 and not chain.discrete:
-        square = (2.0 * math.pi * again.frequency) ** 2
-        alone = f"determines that alone: {chain.target} = -{square:.4g}*{chain.states[0]}"
-        reason = f"the motion has one frequency, {again.frequency:.4g} Hz, and {alone}; {on_it}"
-    return Verdict(
-        "not determined",
-        f"{reason}: other equations are the same there",
-        "excite more frequencies and amplitudes (noise, a sweep or a multisine: bayeq plan), or give fewer terms",
-    )
-
-
-def _changing(one: Change) -> Verdict:
-    size = "its sign" if one.reverses else f"by {100.0 * one.relative:+.2g} %"
-    return Verdict(
-        "nearly true",
-        f"{one.of} changes {size} over the record ({chance(one.p, 1)})",
-        f"{CAREFUL}: answer parts of the record apart (--rows), or offer t times the term",
-    )
 
 
 def worst(verdicts: Sequence[tuple[str, Verdict]]) -> Verdict:

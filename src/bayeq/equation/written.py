@@ -366,6 +366,13 @@ def with_interval(value: float, sd: float, interval: Sequence[float]) -> tuple[s
     return round_to(value, sd), f"{sd:.2g}", f"{low} .. {high}"
 
 
+def difference(enters: str | None, leaves: str | None) -> str:
+    """How a model differs from another, by the terms that enter it and those that leave it."""
+    if enters and leaves:
+        return f"{enters} instead of {leaves}"
+    return f"without {leaves}" if leaves else f"with {enters} added"
+
+
 def odds_text(log_odds: float) -> str:
     """Odds as text from their logarithm: ``1:20`` against, ``20:1`` for.
 

@@ -21,6 +21,7 @@ from bayeq.equation.plan.information import (
     unexplained,
 )
 from bayeq.equation.plan.result import Compared, Outcome, Plan, Separation
+from bayeq.equation.written import difference
 from bayeq.errors import InputError, whole_number
 from bayeq.forecast.dynamics import Dynamics, Law
 from bayeq.inference.posterior import Posterior
@@ -217,8 +218,7 @@ def _compared(equation: Equation, leading: Posterior, model: CandidateModel) -> 
     own = _members(leading)
     more = ", ".join(equation.terms[j].text for j in model.members if j not in own)
     less = ", ".join(equation.terms[j].text for j in own if j not in model.members)
-    differs = f"{more} instead of {less}" if more and less else f"with {more} added" if more else f"without {less}"
-    return Compared(equation.target, differs, model.probability)
+    return Compared(equation.target, difference(more, less), model.probability)
 
 
 def _contains(one: Posterior, other: Posterior) -> bool:
