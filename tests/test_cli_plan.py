@@ -76,7 +76,7 @@ def test_json_is_one_object(saved, capsys):
         amplitude=50.0, band=(2, 20), limits={"x": 0.02}, noise={"a": 3.0}, odds=50, seed=2, fs=500.0,
         realisations=2, seconds=0.5,
     )  # fmt: skip
-    assert json.loads(same.to_json()) == plan
+    assert json.loads(json.dumps(same.to_dict())) == plan
 
 
 def test_amplitudes_by_input_and_by_range(saved, capsys):

@@ -211,7 +211,7 @@ def test_the_rate_is_that_of_the_simulated_motion():
     assert separation.by_size == pytest.approx(math.e * 150**2 / 100.0)
     needed = math.log(100 / 1.5) + 0.5 * (math.log(100 * separation.seconds) - 1)
     assert separation.if_leading * separation.seconds == pytest.approx(needed, rel=1e-6)
-    assert "if the smaller of nested models is, after 10 min, whatever the excitation" in found.text
+    assert "if the smaller of nested models is, after 10 min, whatever the excitation" in str(found)
     first = np.array([separation.rate - best.sd / math.sqrt(2), separation.rate + best.sd / math.sqrt(2)])
     assert np.abs(first / seen["cubic"] - 1).min() < 0.01
 
@@ -243,12 +243,12 @@ def test_the_best_excitation_keeps_the_range():
     assert samples.max() <= 3.0 + 1e-12
     assert max(abs(samples - 2.0)) == pytest.approx(found.best.amplitudes["u"])
     assert len(samples) == len(found.time) == 200
-    assert "1 .. 3" in found.text
+    assert "1 .. 3" in str(found)
 
 
 def test_the_same_seed_gives_the_same_plan():
     given = Given((CUBIC, LINEAR), (0.6, 0.4))
-    first, again, other = (plan(given, seed=seed, seconds=1.0).to_json() for seed in (3, 3, 4))
+    first, again, other = (plan(given, seed=seed, seconds=1.0).to_dict() for seed in (3, 3, 4))
     assert first == again
     assert first != other
 
@@ -264,7 +264,7 @@ def test_limits_are_kept_and_reached():
         assert outcome.peaks["v"] <= 1.0
         if outcome.limited:  # the mean of two realisations of which one is at a limit, in steps of a thousandth
             assert max(outcome.peaks["x"] / 0.02, outcome.peaks["v"]) > 0.6
-    assert "|x| at most 0.02" in found.text
+    assert "|x| at most 0.02" in str(found)
     with pytest.raises(InputError, match="no excitation keeps the motion within the limits"):
         plan(given, amplitude=50.0, limits={"x": 1e-9})
 
@@ -274,13 +274,13 @@ def test_rivals_beyond_the_odds_leave_the_coefficients_to_plan_for():
     given = Given((CUBIC, LINEAR), (0.995, 0.005), covariance=covariance)
     found = plan(given)
     assert (found.purpose, found.decided.name, found.rivals) == ("coefficients", "without x**3", ())
-    assert "no rival is within odds of 100:1" in found.text
+    assert "no rival is within odds of 100:1" in str(found)
     assert all(outcome.separations == () for outcome in found.outcomes)
     assert found.best.rate > 0
     assert plan(given, odds=1000.0).purpose == "models"
     alone = plan(Given((LINEAR,), (1.0,), covariance=covariance[:3, :3]))
     assert (alone.purpose, alone.decided) == ("coefficients", None)
-    assert "no other model is known" in alone.text
+    assert "no other model is known" in str(alone)
 
 
 def test_a_rival_that_runs_away_is_told_by_the_motion_of_the_other():
@@ -314,7 +314,7 @@ def test_several_equations_and_inputs():
     assert found.best.separations[0].if_rival > 0
     assert set(found.inputs) == {"u1", "u2"}
     assert abs(np.corrcoef(*found.inputs.values())[0, 1]) < 0.9  # of realisations of their own
-    assert "a2: x2, v2, u2 from the closest rival (with x1 added)" in found.text
+    assert "a2: x2, v2, u2 from the closest rival (with x1 added)" in str(found)
     assert {"amplitude_u1", "amplitude_u2"} <= set(found.table())
     figure = found.plot()
     assert len(figure.axes) == 3
@@ -411,7 +411,7 @@ def test_saved_equations_give_the_same_plan(found, tmp_path):
     again = bq.load(tmp_path / "eq.json")
     assert again[0].models == found[0].models
     assert again.data.measured == found.data.measured
-    assert again.plan(realisations=2, seconds=0.5).to_json() == found.plan(realisations=2, seconds=0.5).to_json()
+    assert again.plan(realisations=2, seconds=0.5).to_dict() == found.plan(realisations=2, seconds=0.5).to_dict()
     again.save(tmp_path / "twice.json")
     assert bq.load(tmp_path / "twice.json")[0].models == found[0].models
 

@@ -279,7 +279,7 @@ def plan(
     equations = load(file)
     with Progress() as progress:
         found = equations.plan(**given, **options, progress=progress)
-    click.echo(found.to_json() if as_json else found.text)
+    click.echo(json.dumps(found.to_dict(), allow_nan=False) if as_json else str(found))
     if figure is not None:
         from bayeq.figures.style import write_output
 

@@ -247,7 +247,7 @@ class Answer:
         """
         out: dict[str, dict[str, float]] = {}
         for equation in self.equations:
-            out[equation.target] = {name: float(value) for name, value in equation.shown_coef.items()}
+            out[equation.target] = equation.shown_coef
             if equation.intercept_matters:
                 out[equation.target][CONSTANT] = float(equation.shown_posterior.intercept)
         return out

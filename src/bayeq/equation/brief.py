@@ -149,7 +149,7 @@ def sentence(eq: Answer) -> str:
         said = verdict.reason if verdict.kind == "none" else str(verdict).partition(": ")[2]
         return printable(said.removeprefix("no equation found: "))
     ranges = []
-    for name in dict.fromkeys([*(n for one in eq.equations for n in one.chain.states), *eq.inputs]):
+    for name in dict.fromkeys([*eq.states, *eq.inputs]):
         if name in eq.data.measured.ranges and name not in eq.numbers:
             low, high = eq.data.measured.ranges[name]
             unit = eq.equations[0].units.get(name, "")

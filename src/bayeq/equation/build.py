@@ -134,9 +134,8 @@ def build_equation(selection: Selection, window: Window | None) -> Equation:
         for term, inside, seen in zip(regression.design.terms, posterior.support, shown.support, strict=True)
         if inside != seen
     }
-    verdict = judge(
-        regression.chain.target, judged, by_rest, noise, window, regression.through_motion, share, _numbers(regression)
-    )
+    target, numbers = regression.chain.target, _numbers(regression)
+    verdict = judge(target, judged, by_rest, noise, window, regression.through_motion, share, numbers)
     if regression.chain.found:
         verdict = _of_hidden(regression)
     bound = None if verdict.kind == "none" else bounds(fit)

@@ -10,7 +10,7 @@ import numpy as np
 
 from bayeq.arrays import Floats
 from bayeq.equation.written import with_interval
-from bayeq.errors import UnknownNameError
+from bayeq.figures.style import named
 from bayeq.markup import aligned
 
 if TYPE_CHECKING:
@@ -73,10 +73,8 @@ class PhysicalParameters:
         return len(self.quantities)
 
     def __getitem__(self, symbol: str) -> Quantity:
-        for quantity in self.quantities:
-            if quantity.symbol == symbol:
-                return quantity
-        raise UnknownNameError("parameter", symbol, [q.symbol for q in self.quantities])
+        by_symbol = {quantity.symbol: quantity for quantity in self.quantities}
+        return by_symbol[named("parameter", symbol, by_symbol)]
 
     def table(self) -> pd.DataFrame:
         """Columns symbol, meaning, mean, sd, ci_low, ci_high, unit."""

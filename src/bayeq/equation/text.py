@@ -176,12 +176,11 @@ def forms_of(equation: Equation) -> list[str]:
     out, shown = [], set(equation.shown)
     for found in equation.forms.values():
         if len(found) > 1 and any(shown.issuperset(split_at(name)) for name in found):
-            top = max(found.values())
-            weight = {name: math.exp(value - top) for name, value in found.items()}
-            total = sum(weight.values())
-            ranked = [(name, weight[name] / total) for name in sorted(weight, key=lambda name: -weight[name])]
-            listed = ", ".join(f"{name.replace(', ', ' and ')} {share:.3f}" for name, share in ranked)
-            out.append(f"form{'' if ranked[1][1] < FORMS else ' undecided'}: {listed}")
+            ranked = sorted(found, key=lambda name: -found[name])
+            weights = [math.exp(found[name] - found[ranked[0]]) for name in ranked]
+            shares = [weight / sum(weights) for weight in weights]
+            listed = [f"{name.replace(', ', ' and ')} {share:.3f}" for name, share in zip(ranked, shares, strict=True)]
+            out.append(f"form{'' if shares[1] < FORMS else ' undecided'}: {', '.join(listed)}")
     return out
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayeq.arrays import Floats
-from bayeq.errors import InputError, UnknownNameError
+from bayeq.errors import InputError
 from bayeq.figures import style
 from bayeq.numerics.distributions import Z95
 from bayeq.records import Record
@@ -339,13 +339,11 @@ def phase_portrait(
     MissingExtraError
         matplotlib is not installed.
     """
-    names = [name for equation in eq.equations for name in equation.chain.states]
-    chosen = states or tuple(names[:2])
+    chosen = states or eq.states[:2]
     if len(chosen) != 2:
         raise InputError("a phase portrait needs two states; the equations have one")
     for name in chosen:
-        if name not in names:
-            raise UnknownNameError("state", name, names)
+        style.named("state", name, eq.states)
     motion = eq.motion(record)
     run = eq.simulate(record, draws=0, start=_first_row(eq, record.n) if start is None else start, rows=rows)
     (ax,) = style.axes_for(ax, [70.0], style.SINGLE_COLUMN)

@@ -112,21 +112,20 @@ def forecast(
     dynamics: Dynamics,
     record: Record,
     smooth: Smooth,
-    sensors: Sensors | None = None,
+    sensors: Sensors,
     *,
     initial: Mapping[str, float] | None = None,
     draws: int = 200,
     seed: int = 0,
     start: int = 0,
     rows: int | None = None,
-    interpolation: Courses = "cubic",
-    units: Mapping[str, str] | None = None,
+    interpolation: Courses,
+    units: Mapping[str, str],
 ) -> Forecast:
     """Free run over rows of a record; see `bayeq.Equations.simulate`."""
     check_interpolation(interpolation)
     time, roles, raw = require_time(record, "a free run"), dynamics.roles, record
-    if sensors is not None:
-        record = corrected(record, sensors, whole=True)
+    record = corrected(record, sensors, whole=True)
     window = window_of(record, start, rows)
     draws = whole_number("draws", draws, 0)
     part = inputs_filled(record.slice(window.start, window.stop), roles.inputs)
@@ -135,7 +134,7 @@ def forecast(
     whole = all(np.isfinite(record[name]).all() for name in roles.inputs)
     source = record if whole else part
     inputs = between(roles, require_time(source, "a free run"), source.channels, interpolation)
-    first, low, high = _beginning(dynamics, raw, (smooth, sensors, interpolation), window, initial)
+    first, low, high = _beginning(dynamics, raw, smooth, sensors, interpolation, window, initial)
     driven = Drive.over(time[window], inputs[window] if whole else inputs, low, high)
     mean, stopped, drive = mean_run(dynamics, dynamics.mean, first, driven)
 
@@ -165,7 +164,7 @@ def forecast(
         blew_up_at=None if stopped is None else float(time[window][stopped]),
         nrmse={name: normalised_error(run[name], samples) for name, samples in measured.items()},
         measured=measured,
-        units={name: unit for name, unit in (units or {}).items() if name in run},
+        units={name: unit for name, unit in units.items() if name in run},
         clock="samples" if roles.discrete else "s",
     )
 
@@ -173,7 +172,9 @@ def forecast(
 def _beginning(
     dynamics: Dynamics,
     record: Record,
-    how: tuple[Smooth, Sensors | None, Courses],
+    smooth: Smooth,
+    sensors: Sensors,
+    interpolation: Courses,
     window: slice,
     initial: Mapping[str, float] | None,
 ) -> tuple[Floats, Floats, Floats]:
@@ -191,7 +192,6 @@ def _beginning(
     rows = None
     # if all channels are there that the states are estimated from
     if needed and all(name in record.channels for name in dynamics.roles.measured):
-        smooth, sensors, interpolation = how
         motion = estimate_motion([record], dynamics.roles, smooth, sensors=sensors)
         (rows,) = rows_of(motion, "a free run", interpolation)
         times = require_time(record, "a free run")

@@ -233,16 +233,20 @@ def _uncentred(products: Floats, n: float) -> Gram:
     return Gram(names, n, np.zeros(terms), 0.0, DtD, Dty, float(products[terms, terms]), n)
 
 
-def residual_spectrum(bands: Sequence[Band], coef: Floats) -> list[Floats]:
-    """Variance in each bin of the residual of coefficients (P,): its periodogram, averaged over neighbouring bins."""
+def residual_spectrum(bands: Sequence[Band], coef: Floats, rising: bool = False) -> list[Floats]:
+    """Variance in each bin of the residual of coefficients (P,): its periodogram, averaged over neighbouring bins.
+
+    If `rising`, it is made not to fall with frequency.
+    """
     power = [np.abs(band.columns[:, -1] - band.columns[:, :-1] @ coef) ** 2 for band in bands]
     order = np.argsort(np.concatenate([band.frequency for band in bands]), kind="stable")
     values = np.concatenate(power)[order]
     half = min(SMOOTHING, max(1, (len(values) - 1) // 4))
     padded = np.pad(values, half, mode="reflect")
     smooth = np.convolve(padded, np.full(2 * half + 1, 1.0 / (2 * half + 1)), mode="valid")
+    smooth = np.maximum(smooth, 1e-6 * smooth.max())
     out = np.empty_like(smooth)
-    out[order] = np.maximum(smooth, 1e-6 * smooth.max())
+    out[order] = np.maximum.accumulate(smooth) if rising else smooth
     return np.split(out, np.cumsum([len(p) for p in power])[:-1])
 
 
@@ -266,10 +270,7 @@ def _banded(bands: Sequence[Band], terms: int, floor: float) -> Gram:
 
 def _spectrum(bands: Sequence[Band], coef: Floats, floor: float) -> list[Floats]:
     """Density of the residual in each bin, made not to fall with frequency, plus that of the floor."""
-    found = np.concatenate(residual_spectrum(bands, coef))
-    order = np.argsort(np.concatenate([b.frequency for b in bands]), kind="stable")
-    found[order] = np.maximum.accumulate(found[order])
-    return np.split(found + floor**2, np.cumsum([len(b.frequency) for b in bands])[:-1])
+    return [density + floor**2 for density in residual_spectrum(bands, coef, rising=True)]
 
 
 def _weighted(bands: Sequence[Band], terms: int, spectrum: Sequence[Floats], floor: float) -> tuple[Gram, Gram, float]:

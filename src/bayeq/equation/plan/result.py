@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -162,13 +160,9 @@ class Plan:
         """
         return self.rivals[outcome.separations[0].rival] if outcome.separations else None
 
-    @cached_property
-    def text(self) -> str:
-        """The advice, and a table of the designs."""
-        return render(self)
-
     def __str__(self) -> str:
-        return self.text
+        """The advice, and a table of the designs: styled if standard output is a terminal, plain Markdown otherwise."""
+        return render(self)
 
     def table(self) -> pd.DataFrame:
         """All designs, the best first: ``kind``, ``low`` and ``high`` of the band [Hz], ``amplitude`` (a column per
@@ -220,10 +214,6 @@ class Plan:
                 for one in self.outcomes
             ],
         }
-
-    def to_json(self) -> str:
-        """`to_dict` as a JSON object."""
-        return json.dumps(self.to_dict(), allow_nan=False)
 
     def plot(self) -> Figure:
         """Information rates of the designs; the spectrum and the beginning of the best excitation."""
@@ -300,7 +290,7 @@ def amplitudes(plan: Plan, outcome: Outcome) -> str:
 
 
 def render(plan: Plan) -> str:
-    """The plan: styled if standard output is a terminal, plain Markdown otherwise."""
+    """See `Plan.__str__`."""
     from rich import box
     from rich.markup import escape
     from rich.table import Table

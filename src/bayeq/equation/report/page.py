@@ -97,11 +97,10 @@ def _wanted(eq: Answer, record: Record | None) -> Iterator[tuple[str, dict[str, 
                 yield "candidate_correlation", which, f"Correlation of the likeliest candidate terms{of}"
     if record is None:
         return
-    states = [name for one in eq.equations for name in one.chain.states]
-    measured = [name for name in states if name in record.channels]
+    measured = [name for name in eq.states if name in record.channels]
     for name in measured:
         yield "free_run", {"channel": name}, f"Free run of {name}, its band, and residual"
-    if len(states) > 1:
+    if len(eq.states) > 1:
         yield "phase_portrait", {}, "Phase portrait: record and free run"
     for name in measured[:1]:
         yield "spectra", {"channel": name}, f"Spectra of {name}: measured, free run and their difference"
