@@ -51,7 +51,7 @@ def judged(eqs: Iterable[Equation], truth: Truth) -> dict[str, Any]:
             if kept
         }
         if eq.intercept_matters:
-            found[CONSTANT] = (*eq.intercept_estimate, *eq.intercept_ci95)
+            found[CONSTANT] = (eq.shown_model.intercept, eq.shown_model.intercept_sd, *eq.intercept_ci95)
         wrong += [f"{eq.target}: +{name}" for name in found if name not in true]
         wrong += [f"{eq.target}: -{name}" for name in true if name not in found]
         for name, value in true.items():

@@ -52,7 +52,7 @@ def _shown_numbers(eq: Equation) -> dict[str, list[float]]:
     }
     if eq.intercept_matters:
         interval = getattr(eq, "printed_intercept_ci95", eq.intercept_ci95)
-        shown[CONSTANT] = [*map(float, eq.intercept_estimate), *map(float, interval)]
+        shown[CONSTANT] = [*map(float, (eq.shown_model.intercept, eq.shown_model.intercept_sd)), *map(float, interval)]
     return shown
 
 

@@ -204,7 +204,7 @@ def answered(question: Question) -> Answer:
             if kept:
                 terms[f"{eq.target} {name}"] = (float(sd), float(coef), *map(float, ends))
         if eq.intercept_matters:
-            coef, sd = eq.intercept_estimate
+            coef, sd = eq.shown_model.intercept, eq.shown_model.intercept_sd
             terms[f"{eq.target} 1"] = (sd, coef, *eq.printed_intercept_ci95)
     # numbers in messages move with every coefficient
     said = sorted(re.sub(r"[-+\d.e]*\d[-+\d.e]*", "0", text) for text in eqs.warnings)

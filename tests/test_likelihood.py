@@ -118,20 +118,22 @@ def test_the_constant_is_judged(tmp_path):
     (without,) = balanced
     assert without.posterior.constant.pip < 0.5
     assert not without.intercept_matters
-    value, sd = without.intercept_estimate
+    value, sd = without.shown_model.intercept, without.shown_model.intercept_sd
     assert abs(value) < 4 * sd
     assert without.posterior.intercept == 0.0
     pushed = record.with_channels({"a": record["a"] + 0.0, "u": record["u"] - 20.0})
     loaded = quietly(pushed, **AMONG_EIGHT, holdout=0.0)
     (with_it,) = loaded
     assert with_it.posterior.constant.pip > 0.5
-    assert with_it.intercept_estimate[0] == pytest.approx(20.0, abs=4 * with_it.intercept_estimate[1])
+    model = with_it.shown_model
+    assert model.intercept == pytest.approx(20.0, abs=4 * model.intercept_sd)
     for one, eq in ((without, balanced), (with_it, loaded)):
         path = tmp_path / "eq.json"
         eq.save(path)
         (again,) = bq.load(path)
         assert again.intercept_matters == one.intercept_matters
-        assert again.intercept_estimate == one.intercept_estimate
+        assert again.shown_model.intercept == one.shown_model.intercept
+        assert again.shown_model.intercept_sd == one.shown_model.intercept_sd
         assert again.text == one.text
         assert again.residuals.discrepancy == one.residuals.discrepancy
 

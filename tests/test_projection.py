@@ -173,6 +173,6 @@ def test_what_is_known_of_coefficients_goes_with_a_constant():
     (free,), (given,) = quietly(record, **options), quietly(record, **options, constraints=["u == 1", "v <= 0"])
     assert given.shown_coef["u"] == 1.0
     assert given.shown_coef["v"] <= 0.0
-    value, sd = given.intercept_estimate
-    assert value == pytest.approx(free.intercept_estimate[0], abs=3 * sd)
+    value, sd = given.shown_model.intercept, given.shown_model.intercept_sd
+    assert value == pytest.approx(free.shown_model.intercept, abs=3 * sd)
     assert value == pytest.approx(20.0, abs=4 * sd)

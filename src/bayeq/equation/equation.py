@@ -324,11 +324,6 @@ class Equation:
         return self.shown_model.intercept_ci95
 
     @property
-    def intercept_estimate(self) -> tuple[float, float]:
-        """Estimate and standard deviation of the intercept, whether it is in the equation or probably zero."""
-        return self.shown_model.intercept, self.shown_model.intercept_sd
-
-    @property
     def intercept_matters(self) -> bool:
         """Whether the intercept is written out: its probability is over 0.5, or without one its interval excludes 0."""
         if self.shown_posterior.constant.pip is not None:

@@ -341,11 +341,12 @@ def rows_of(equation: Equation, conditional: bool = False) -> list[Row]:
     for one in equation.shown_constants:
         numbers, unit = with_interval(one.value, plain_sd(one), one.ci95), equation.constant_units.get(one.name, "")
         rows.append(Row(f"{{{one.name}}}", *numbers, unit=unit))
-    if shown.intercept == 0.0 and equation.intercept_estimate[1] < NOTHING:
+    model = equation.shown_model
+    if shown.intercept == 0.0 and model.intercept_sd < NOTHING:
         return [*rows, Row("intercept", absent="none")]
     ends = equation.intercept_ci95 if conditional else equation.printed_intercept_ci95
     over_models, unit = ends != equation.intercept_ci95, equation.units.get(equation.target, "")
-    numbers = with_interval(*equation.intercept_estimate, ends)
+    numbers = with_interval(model.intercept, model.intercept_sd, ends)
     return [*rows, Row("intercept", *numbers, over_models=over_models, unit=unit)]
 
 

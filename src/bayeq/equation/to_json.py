@@ -98,8 +98,8 @@ def _equation(equation: Equation, eq: Answer) -> dict[str, Any]:
     return {
         "target": equation.target,
         "verdict": asdict(equation.verdict),
-        "intercept": equation.intercept_estimate[0],
-        "intercept_sd": equation.intercept_estimate[1],
+        "intercept": equation.shown_model.intercept,
+        "intercept_sd": equation.shown_model.intercept_sd,
         "intercept_included": shown.constant.left_out is None,
         "intercept_ci95": list(equation.intercept_ci95),
         "intercept_printed_ci95": list(equation.printed_intercept_ci95),

@@ -171,7 +171,7 @@ def matrix_error(found: Floats, true: Floats) -> float:
 def _coefficients(eq: Any) -> dict[str, float]:
     found = {eq.terms[j].text: float(eq.posterior.coef[j]) for j in np.flatnonzero(eq.posterior.support)}
     if eq.intercept_matters:
-        found[CONSTANT] = eq.intercept_estimate[0]
+        found[CONSTANT] = eq.shown_model.intercept
     return found
 
 
