@@ -10,10 +10,9 @@ import numpy as np
 
 from bayeq.dictionary import slopes_of
 from bayeq.equation.answer import with_shown
-from bayeq.equation.cancelling import common_root
 from bayeq.equation.equation import Equation, RunnerUp
 from bayeq.equation.plan.information import likeliest_models
-from bayeq.equation.selection.alternatives import Alternatives, alternatives_to, bounds, undetermined
+from bayeq.equation.selection.alternatives import Alternatives, alternatives_to, bounds, common_root, undetermined
 from bayeq.equation.selection.excitation import Repeating, repeating
 from bayeq.equation.selection.select import Selection
 from bayeq.equation.verdict import (
@@ -255,7 +254,7 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
         return Verdict("not determined", f"as likely with {other}", "give narrower ranges, as in {a: 0.1..1}")
     if verdict.kind in ("none", "not determined"):
         return verdict
-    root = common_root(equation)
+    root = common_root(equation.chain, equation.terms, equation.shown_posterior)
     if root is not None:
         p = f"{root.real if root.imag == 0.0 else root:.3g}"
         reason = f"both sides have the factor 1 - p/z, p = {p}, within its error: without it the motion is the same"

@@ -300,11 +300,6 @@ def typical_period(dynamics: Dynamics, pieces: Sequence[Rows]) -> float:
     return min(periods)
 
 
-def least_rows(dynamics: Dynamics) -> int:
-    """Fewest rows of a window; two for a map, which may be chaotic from one sample to the next."""
-    return 2 if dynamics.roles.discrete else LEAST_ROWS
-
-
 def fitted_start(dynamics: Dynamics, parameters: Floats, rows: Rows, low: Floats, high: Floats) -> Floats:
     """The initial state (d,) with which a free run follows the first period of some rows best.
 
@@ -432,12 +427,13 @@ def window_runs(
     spread = whole.std(axis=0) if unit is None else unit
     scale = np.where(spread > 0, spread, 1.0)
     limits = state_range(np.concatenate([whole, [-scale], [scale]]))
+    least = 2 if dynamics.roles.discrete else LEAST_ROWS  # a map may be chaotic from one sample to the next
     out = []
     for rows, known in zip(pieces, states, strict=True):
         drive = rows.drive(*limits)
         intervals = duration / drive.step
         length = min(round(intervals) + 1 if math.isfinite(intervals) else rows.n, rows.n // 2)
-        if length < least_rows(dynamics):
+        if length < least:
             continue
         count = max(1, round(WINDOWS * rows.n / len(whole)))
         for first in np.linspace(0, rows.n - length, count).astype(int):

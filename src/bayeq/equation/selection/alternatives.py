@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import compress
+from typing import Any
 
 import numpy as np
 
@@ -21,13 +22,15 @@ from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
 from bayeq.dictionary.families import degree
 from bayeq.expressions import Expression
+from bayeq.expressions.parse import EARLIER
+from bayeq.forecast.dynamics import normal_draws
 from bayeq.inference.collapsed.path import DEPENDENT
 from bayeq.inference.collapsed.slab import noise_given_model
 from bayeq.inference.posterior import Posterior
 from bayeq.numerics.distributions import Z95
 from bayeq.numerics.settings import SELECTION
 from bayeq.regression.fit import RegressionFit
-from bayeq.states import Motion
+from bayeq.states import Chain, Motion
 
 # Models of less probability are left out; number of points at which the others are compared, and their random seed.
 LEAST, POINTS, SEED = 1e-3, 1000, 0
@@ -38,6 +41,9 @@ AMPLITUDES, ROWS = (1.0, 10.0), 4000
 
 # With more candidates there are no bounds: the missing rows of D'D would cost more than the search did.
 MOST_TERMS = 2000
+
+# Roots are the same if they differ by less than this many standard errors, which DRAWS draws of the coefficients give.
+ERRORS, DRAWS = 3.0, 200
 
 
 @dataclass(frozen=True)
@@ -172,3 +178,50 @@ def undetermined(fit: RegressionFit, found: Posterior, bound: Floats | None) -> 
         key=lambda k: (found_terms[k].size, degree(found_terms[k]), -effect[k]),
     )
     return tuple(found_terms[k].text for k in order)
+
+
+def common_root(chain: Chain, terms: Sequence[Expression], shown: Posterior) -> complex | None:
+    """A root p of a linear map A(z) x = B(z) u that is one of B as well, within its error; None if there is none.
+
+    ``(1 - p/z)`` on both sides leaves the motion as it is: an equation with fewer earlier samples has the same. Noise
+    of a white input acts as a moving average of the residual, and such a factor makes it white (Ljung, System
+    Identification, 1999, section 4.2): it then has a high probability. A root at zero is a delay.
+    """
+    inside = list(compress(terms, shown.support))
+    if not chain.discrete or not all(term.text in term.names for term in inside):
+        return None
+    names = [term.text for term in inside]
+    parts = [(one["name"], int(one["back"])) if (one := EARLIER.fullmatch(name)) else (name, 0) for name in names]
+    own = chain.target.removesuffix("[+1]")
+    channels = [own, *dict.fromkeys(name for name, _ in parts if name != own)]
+
+    def roots(coef: Floats) -> list[Any]:
+        """Roots of the polynomial of each channel, in z."""
+        out = []
+        for channel in channels:
+            there = {back: c for (name, back), c in zip(parts, coef.tolist(), strict=True) if name == channel}
+            polynomial = [there.get(back, 0.0) for back in range(max(there, default=-1) + 1)]
+            out.append(np.roots([1.0, *(-c for c in polynomial)] if channel == own else np.trim_zeros(polynomial, "f")))
+        return out
+
+    coef = shown.coef[shown.support]
+    poles, *others = roots(coef)
+    if not others or not all(map(len, others)):
+        return None
+    drawn = [roots(one) for one in normal_draws(coef, shown.covariance, DRAWS, np.random.default_rng(0))]
+    for pole in poles[np.abs(poles) > 0.0]:
+        zeros = [_nearest(one, pole) for one in others]
+        apart = pole - np.array(zeros)
+        others_apart = np.array(
+            [
+                [_nearest(own, pole) - _nearest(z, zero) for z, zero in zip(rest, zeros, strict=True)]
+                for own, *rest in drawn
+            ]
+        )
+        if (np.abs(apart) < ERRORS * np.sqrt(np.mean(np.abs(others_apart - apart) ** 2, axis=0))).all():
+            return complex(pole)
+    return None
+
+
+def _nearest(roots: Any, to: complex) -> complex:
+    return complex(roots[np.abs(roots - to).argmin()]) if len(roots) else complex(np.inf)
