@@ -17,13 +17,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from itertools import compress
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms, slopes_of
 from bayeq.equation.answer import Answer
+from bayeq.equation.equation import Equation
 from bayeq.equation.quantities import Mode, PhysicalParameters, Quantity, quantity
 from bayeq.equation.written import OscillatorUnits, quotient_unit
 from bayeq.errors import InputError, some_of, whole_number
@@ -35,9 +36,6 @@ from bayeq.forecast.dynamics import Law, moments, normal_draws
 from bayeq.numerics.distributions import Z95
 from bayeq.records.names import in_si, parse_unit
 from bayeq.states import Chain
-
-if TYPE_CHECKING:
-    from bayeq.equation.equation import Equation
 
 # Highest power of the displacement that has a stiffness parameter, k9.
 HIGHEST_POWER = 9

@@ -18,11 +18,10 @@ from bayeq.figures import style
 from bayeq.figures.runs import BAND
 from bayeq.numerics.distributions import Z95
 from bayeq.records import Record
+from bayeq.states import MotionRows
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-    from bayeq.states.motion import MotionRows
 
 FORCE = "restoring force per mass"
 

@@ -6,12 +6,12 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import compress
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from bayeq.arrays import Floats
 from bayeq.dictionary import evaluate_terms
+from bayeq.equation.equation import Equation
 from bayeq.equation.plan.designs import SHARES, Conditions, Design, Motions, designs_for, shapes
 from bayeq.equation.plan.information import (
     CandidateModel,
@@ -28,9 +28,6 @@ from bayeq.inference.posterior import Posterior
 from bayeq.numerics.settings import PLAN
 from bayeq.resumable import Progress
 from bayeq.states import Roles
-
-if TYPE_CHECKING:
-    from bayeq.equation.equation import Equation
 
 
 @dataclass(frozen=True, eq=False)
