@@ -8,7 +8,7 @@ import json
 import os
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import closing, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -149,7 +149,7 @@ def run_batch(
     with BatchStore(store, make=True) as kept, threadpool_limits(1):
         shared = _common(kept, paths, options, read, step) if common else None
         used = options if shared is None else fixed_terms(options, shared)
-        asked, done = digest(used, read), 0
+        asked = digest(used, read)
         places = {_key(path, asked): path for path in paths}
         left = {key for key, path in places.items() if not kept.done(key, path)}
         if left:
@@ -158,13 +158,13 @@ def run_batch(
         def missing() -> list[tuple[Key]]:
             return [(key,) for key, path in places.items() if key in left and not kept.done(key, path)]
 
-        work = partial(_work, dict(used), read)
-        with closing(fill(kept, missing, work, jobs, tasks=lambda keys: places[keys[0]])) as answers:
-            for (one, identity), done, total in answers:
-                key = _key(one.path, asked)
-                kept.add(key, one, identity)
-                left.remove(key)  # a refused file is not tried twice
-                step(FILES, done, total)
+        def keep(answer: tuple[BatchFile, Identity | None]) -> None:
+            key = _key(answer[0].path, asked)
+            kept.add(key, *answer)
+            left.remove(key)  # a refused file is not tried twice
+
+        work, first = partial(_work, dict(used), read), lambda keys: places[keys[0]]
+        done = fill(kept, missing, work, keep, jobs, tasks=first, progress=partial(step, FILES))
         found = [kept.outcome(path, key) for key, path in places.items()]
     return Batch(tuple(one for one in found if one is not None), shared, done)
 

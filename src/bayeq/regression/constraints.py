@@ -71,13 +71,10 @@ class Constraints:
         """The constraints with terms not `allowed`, (P,), set to zero, and without equalities between these alone."""
         if allowed.all():
             return self
-        known = self.equalities
+        names, known = self.equalities.names, self.equalities.equations
         equations = [
-            (Linear({int(e): 1.0, **{int(known.kept[j]): -row[j] for j in np.flatnonzero(row)}}, -value), "constraints")
-            for e, row, value in zip(known.eliminated, known.slopes, known.offsets, strict=True)
-            if allowed[e] or allowed[known.kept[row != 0.0]].any()
+            (Linear(factors, -value), "constraints") for factors, value in known if allowed[list(factors)].any()
         ]
-        names = known.names
         equations += [(Linear({int(j): 1.0}, 0.0), f"term {names[j]}") for j in np.flatnonzero(~allowed)]
         kept = tuple(one for one in self.stated if allowed[one[0]])
         limits = np.where(allowed[:, None], self.limits, [-np.inf, np.inf])
@@ -95,21 +92,19 @@ class Constraints:
         if prior.signs is not None:
             for j, (low, high) in enumerate(half_lines(np.asarray(prior.signs))):
                 _narrow(limits, j, low, high, names, "the prior")
-        for e, row, value in zip(
-            self.equalities.eliminated, self.equalities.slopes, self.equalities.offsets, strict=True
-        ):
+        for factors, value in self.equalities.equations:
+            e, *others = factors
             low, high = limits[e]
             if not np.isfinite([low, high]).any():
                 continue
-            others = np.flatnonzero(row)
-            if len(others) == 0:
+            if not others:
                 if not low <= value <= high:
                     raise InputError(
                         f"constraints: one says that {names[e]} is {value:g}, another that it is {_said(low, high)}"
                     )
             elif len(others) == 1:
-                ends = (limits[e] - value) / row[others[0]]
-                _narrow(limits, int(kept[others[0]]), min(ends), max(ends), names, "the constraints")
+                ends = (value - limits[e]) / factors[others[0]]
+                _narrow(limits, others[0], min(ends), max(ends), names, "the constraints")
             else:
                 raise InputError(
                     f"constraints: the sign of {names[e]} would be that of a sum of coefficients, for an equation gives"
@@ -189,7 +184,7 @@ def parse_constraints(
             raise InputError(f"a constraint is text such as 'u == 1', not {text!r}")
         if _is_tie(text):
             continue
-        where = f"constraint {text if len(text) <= 60 else text[:57] + '...'!r}"
+        where = _where(text)
         target, body = _addressed(text, targets, where)
         for left, relation, right in _sides(body, where):
             if relation == "~":
@@ -210,6 +205,10 @@ def parse_constraints(
     for constraints in found:
         constraints.prior(Prior())  # contradictions are reported at once
     return found
+
+
+def _where(text: str) -> str:
+    return f"constraint {text if len(text) <= 60 else text[:57] + '...'!r}"
 
 
 def _among(
@@ -244,7 +243,7 @@ def parse_ties(
     texts, names = [texts] if isinstance(texts, str) else list(texts), [term.text for term in terms]
     reader, out = _Reader(terms, dropped or {}), []
     for text in filter(_is_tie, texts):
-        where = f"constraint {text if len(text) <= 60 else text[:57] + '...'!r}"
+        where = _where(text)
         sides = text.split("==")
         if len(sides) != 2:
             raise InputError(f"{where}: write a tie as 'a1: x1-x2 == 2*(a2: x2-x1)'")

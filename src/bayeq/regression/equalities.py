@@ -70,6 +70,14 @@ class Equalities:
     slopes: Floats  # (E, F), C
     offsets: Floats  # (E,), q
 
+    @property
+    def equations(self) -> list[tuple[dict[int, float], float]]:
+        """The solved equations: factors of coefficients, the eliminated one first, by place; the value of their sum."""
+        return [
+            ({int(e): 1.0, **{int(self.kept[k]): -float(row[k]) for k in np.flatnonzero(row)}}, float(value))
+            for e, row, value in zip(self.eliminated, self.slopes, self.offsets, strict=True)
+        ]
+
     def basis(self, support: Bools) -> Floats:
         """Derivatives (r, f) of the coefficients of terms, `support` (P,), with respect to the kept ones among them."""
         return self._jacobian(support, support[self.kept])

@@ -276,11 +276,9 @@ def record_of(
     starts = [(one.motion, one.terms, one.train) for one in others]
     stated += ties
     for c, own in enumerate(constraints):
-        tied = own.equalities
-        for e, row, value in zip(tied.eliminated, tied.slopes, tied.offsets, strict=True):
-            parts = [(c, int(e), 1.0), *((c, int(tied.kept[k]), -row[k]) for k in np.flatnonzero(row))]
-            parts = [one for one in parts if design.allowed[c, one[1]]]
-            stated += [Stated(tuple(parts), float(value), 0.0)] if parts else []
+        for factors, value in own.equalities.equations:
+            parts = tuple((c, j, factor) for j, factor in factors.items() if design.allowed[c, j])
+            stated += [Stated(parts, value, 0.0)] if parts else []
     return fit_record(design.motion, design.terms, log_odds, design.train, tolerance, tuple(stated), conserved, starts)
 
 

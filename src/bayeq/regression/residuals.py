@@ -11,7 +11,7 @@ import numpy as np
 from bayeq.arrays import Floats
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import best_models
-from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
+from bayeq.inference.collapsed.slab import learned
 from bayeq.inference.gram import Gram
 from bayeq.inference.posterior import Posterior
 from bayeq.inference.prior import Prior
@@ -158,9 +158,7 @@ MOST_NOISE = 0.5
 
 
 def _pilot(gram: Gram) -> Posterior:
-    standard = gram.standardise(residual_scale(gram))
-    prior = Prior()
-    prior = replace(prior, slab_variance=learn_slab_variance(standard.gram, prior))
+    standard, prior = learned(gram, Prior())
     best = [model for _, model in best_models(Problem.of(standard.gram, prior))]
     return spike_slab_vb(standard.gram, prior, models=best).rescaled(standard)
 

@@ -268,20 +268,21 @@ def fill(
     store: ResultStore,
     missing: Callable[[], Sequence[Sequence[Key]]],
     work: Callable[[Any], Answer],
+    keep: Callable[[Answer], object],
     jobs: int = 1,
     size: int = 1,
     tasks: Callable[[Sequence[Key]], Any] = tuple,
     count: Callable[[Answer], int] = lambda answer: 1,
     cluster: Any = None,
-) -> Generator[tuple[Answer, int, int], None, None]:
-    """Compute the results that a store lacks; the caller puts each answer into it.
+    progress: Callable[[int, int], None] | None = None,
+) -> int:
+    """Compute the results that a store lacks; returns the number of groups done.
 
     `missing` returns the keys still missing, in groups that are computed together, and is called until there are none.
-    `tasks` turns the keys of `size` groups into a task, `work` a task into its answer, and `count` gives the number of
-    groups in an answer. The work is done by `jobs` processes (1: this process) or by the workers of a `cluster`. A
-    result depends on its key alone, whatever the workers, batches and kills; several processes may fill a store.
-
-    Yields each answer as it is ready, with the number of groups done in this call and their total.
+    `tasks` turns the keys of `size` groups into a task, `work` a task into its answer, `keep` puts an answer into the
+    store as it is ready, and `count` gives the number of groups in it. The work is done by `jobs` processes (1: this
+    process) or by the workers of a `cluster`. A result depends on its key alone, whatever the workers, batches and
+    kills; several processes may fill a store. `progress` is called with (groups done in this call, their total).
     """
     done = 0
     with Claims(store) as claims:
@@ -297,9 +298,12 @@ def fill(
             with closing(answers):
                 for answer in answers:
                     done += count(answer)
-                    yield answer, done, total
+                    keep(answer)
+                    if progress is not None:
+                        progress(done, total)
             if done == before:  # others have claimed all of it
                 time.sleep(LOOK)
+    return done
 
 
 def compute(

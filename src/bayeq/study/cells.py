@@ -6,7 +6,6 @@ import json
 import time
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import closing
 from functools import lru_cache, partial
 from importlib.resources import files
 from pathlib import Path
@@ -92,12 +91,7 @@ def run_cells(
     seeds = range(first_seed, first_seed + records)
     keys = [json.dumps([name, *cell]) for cell in cells]
     with _Outcomes(store, make=True) as file, threadpool_limits(1):
-        work = partial(_work, measure)
-        with closing(fill(file, partial(file.missing, keys, seeds), work, jobs)) as answers:
-            for rows, done, total in answers:
-                file.put(rows)
-                if progress is not None:
-                    progress(done, total)
+        fill(file, partial(file.missing, keys, seeds), partial(_work, measure), file.put, jobs, progress=progress)
         return Cells(cells, [file.outcomes(key, seeds) for key in keys])
 
 

@@ -13,8 +13,7 @@ import sqlite3
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing
-from dataclasses import asdict, astuple, dataclass, field, fields, replace
+from dataclasses import asdict, astuple, dataclass, field, fields
 from functools import lru_cache, partial
 from itertools import groupby
 from pathlib import Path
@@ -30,7 +29,7 @@ from bayeq.equation.selection.select import Rules, select
 from bayeq.errors import InputError, one_line, whole_number
 from bayeq.expressions import Expression
 from bayeq.inference.bma import spike_slab_bma
-from bayeq.inference.collapsed.slab import learn_slab_variance, residual_scale
+from bayeq.inference.collapsed.slab import learned
 from bayeq.inference.gibbs import spike_slab_gibbs
 from bayeq.inference.gram import Gram, Standardised
 from bayeq.inference.posterior import Posterior
@@ -78,8 +77,7 @@ def posed(train: Gram, config: StudyConfig) -> tuple[Standardised, Prior]:
     prior = Prior(config.slab_variance, config.prior_inclusion, config.noise_shape, config.noise_rate)
     if config.smooth == "none":
         return train.standardise(), prior
-    standard = train.standardise(residual_scale(train))
-    return standard, replace(prior, slab_variance=learn_slab_variance(standard.gram, prior, config.slab_variance))
+    return learned(train, prior, config.slab_variance)
 
 
 def _rvm(data: Realisation, config: StudyConfig, seed: tuple[int, ...]) -> Posterior:
@@ -421,15 +419,15 @@ def run_study(
         if batch is None and (groups := missing()):
             largest = len(groups) // (AHEAD * (jobs if cluster is None else cluster.threads))
             size = max(1, min(_per_batch(config, _tasks(groups[0])[0]), LARGEST_BATCH, largest))
-        done = failures = 0
+        failures: list[Result] = []
+
+        def keep(results: Sequence[Result]) -> None:
+            file.add(results)
+            failures.extend(r for r in results if r.failure is not None)
+
         work = partial(_work, config)
-        with closing(fill(file, missing, work, jobs, size, _tasks, _realisations, cluster)) as answers:
-            for results, done, total in answers:
-                file.add(results)
-                failures += sum(r.failure is not None for r in results)
-                if progress is not None:
-                    progress(done, total)
-    return Outcome(done, failures, time.monotonic() - started)
+        done = fill(file, missing, work, keep, jobs, size, _tasks, _realisations, cluster, progress)
+    return Outcome(done, len(failures), time.monotonic() - started)
 
 
 def _tasks(keys: Sequence[Key]) -> tuple[Task, ...]:

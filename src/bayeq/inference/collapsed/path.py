@@ -112,15 +112,12 @@ def _by_search(problem: Problem, sizes: range, starts: Iterable[Bools], limits: 
     for start in [forced, *optima, *((model | forced) & ~forbidden for model in starts)]:
         # remove terms, each time the one whose removal costs least, so that every smaller size has a start too
         active = start.copy()
-        size = int(active.sum())
-        while size >= sizes.start:
+        for size in range(int(active.sum()), sizes.start - 1, -1):
             if size in pools:
                 _offer(pools[size], active, float(_scores(problem, active[None, :], limits)[0]))
-            if size == sizes.start:
-                break
-            out, into, gains = explore(problem, active[None].copy(), STAY, math.inf)[1]
-            active[out[np.argmax(np.where(into < 0, gains, -math.inf))]] = False
-            size -= 1
+            if size > sizes.start:
+                out, into, gains = explore(problem, active[None].copy(), STAY, math.inf)[1]
+                active[out[np.argmax(np.where(into < 0, gains, -math.inf))]] = False
     while True:
         waiting = [(size, key) for size, pool in pools.items() for key in pool if key not in expanded]
         if not waiting:

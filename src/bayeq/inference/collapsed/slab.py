@@ -11,7 +11,7 @@ from bayeq.arrays import Bools, Floats
 from bayeq.inference.collapsed.problem import Problem, gram_block
 from bayeq.inference.collapsed.search import best_models, greedy_start, neighbours
 from bayeq.inference.collapsed.tableau import residual_sum, swept
-from bayeq.inference.gram import Gram, GramLike
+from bayeq.inference.gram import Gram, GramLike, Standardised
 from bayeq.inference.prior import Prior
 from bayeq.numerics.settings import INFERENCE
 
@@ -92,6 +92,12 @@ def residual_scale(gram: Gram) -> float:
     return sd * max(math.sqrt(max(rss, 0.0) / spare), LEAST_RESIDUAL)
 
 
+def learned(gram: Gram, prior: Prior, floor: float = 10.0) -> tuple[Standardised, Prior]:
+    """The standardised Gram, the target in units of its residual, and the prior with the slab variance learned."""
+    standard = gram.standardise(residual_scale(gram))
+    return standard, replace(prior, slab_variance=learn_slab_variance(standard.gram, prior, floor))
+
+
 def _parameters(problem: Problem, active: Bools) -> tuple[Floats, Floats, float]:
     """Mean (r,) of the active theta, their covariance in units of sigma^2 (r, r), eq. (33), and the mean of sigma^2."""
     p, index = problem, np.flatnonzero(active)
@@ -134,9 +140,8 @@ def exact_posterior(problem: Problem, active: Bools, limits: Floats | None = Non
 
 def likeliest_by_rows(gram: Gram, allowed: Bools | None = None, most: float = math.inf) -> tuple[Bools, Floats]:
     """The likeliest model of a regression with at most `most` terms, all `allowed`; its coefficients, (P,) each."""
-    standard = gram.standardise(residual_scale(gram))
     first = Prior() if allowed is None else Prior(prior_inclusion=np.where(allowed, 0.1, 0.0))
-    prior = replace(first, slab_variance=learn_slab_variance(standard.gram, first))
+    standard, prior = learned(gram, first)
     problem = Problem.of(standard.gram, prior)
     model = best_models(problem)[0][1]
     while model.sum() > most:

@@ -58,14 +58,8 @@ def build(columns: Columns, Dty: Floats, yty: float, ridge: float) -> Tableau:
     """Unswept tableau, of the empty model; `ridge` is 1/v_s, `yty` holds 2 b_sigma already."""
     p = len(Dty)
     most = min(p, MOST_ACTIVE)
-    diagonal, partial, row, size = np.empty(p + 1), np.empty(p), np.empty(p, np.int64), np.empty(1, np.int64)
-    for j in range(p):
-        row[j] = -1
-        diagonal[j] = columns.diagonal[j] + ridge
-        partial[j] = Dty[j]
-    diagonal[p] = yty
-    size[0] = 0
-    return Tableau(np.empty((most, p + 1)), row, np.empty(most, np.int64), size, diagonal, partial)
+    rows, row, term, size = np.empty((most, p + 1)), np.full(p, -1), np.empty(most, np.int64), np.zeros(1, np.int64)
+    return Tableau(rows, row, term, size, np.append(columns.diagonal + ridge, yty), Dty.copy())
 
 
 @kernel
