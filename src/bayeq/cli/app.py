@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.shell_completion import get_completion_class, shell_complete
 
-from bayeq.cli.discover import batch, discover
+from bayeq.cli.batch import batch
+from bayeq.cli.discover import discover
 from bayeq.cli.options import FILE, Command, Names, json_option, measured, option
 from bayeq.cli.reading import Reading, file_options
 from bayeq.cli.saved import benchmark, plan, predict, show

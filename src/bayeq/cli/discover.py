@@ -1,24 +1,22 @@
-"""``bayeq discover``: read records, find equations, print and write them; ``bayeq batch``: the same for many files."""
+"""``bayeq discover``: read records, find equations, print and write them."""
 
 from __future__ import annotations
 
-import json
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from bayeq.cli import options as opt
+from bayeq.cli.outputs import OUTPUTS, Outputs
 from bayeq.cli.reading import STANDARD_INPUT, Reading, plain_files, reading_options
-from bayeq.cli.terminal import OUTPUTS, Outputs, Progress, require_output, say
-from bayeq.errors import BayeqError, InputError, InterruptedRun
+from bayeq.cli.terminal import Progress
+from bayeq.errors import InputError
 from bayeq.inference.engines import ENGINES
 
 if TYPE_CHECKING:
-    from bayeq.batches.result import Batch, BatchFile
     from bayeq.records import Record
 
 EXAMPLES = """
@@ -194,7 +192,7 @@ class _Method(click.Choice):  # type: ignore[type-arg]  # generic in the latest 
     is_flag=True,
     help="Print all of the answer: fits, residuals, bounds, runners-up; say on standard error what is being done.",
 )
-def discover(files: tuple[Path, ...], as_json: bool, verbose: bool, dask: str | None, **options: Any) -> None:
+def discover(files: tuple[Path, ...], dask: str | None, **options: Any) -> None:
     """Find the equation of motion of a measured record.
 
     FILE... are one or several records: text (CSV ...), MATLAB, HDF5, universal files, TDMS, LabVIEW, Excel, WAV,
@@ -204,7 +202,7 @@ def discover(files: tuple[Path, ...], as_json: bool, verbose: bool, dask: str | 
     outputs = Outputs(**{name: options.pop(name) for name in OUTPUTS})
     reading = Reading.of(options)
     options, paths = opt.named_channels(options)
-    outputs.check(plain_files(files), options, as_json)
+    outputs.check(plain_files(files), options)
     options = cleaned(options)
     from bayeq.records.io import state_of
 
@@ -212,7 +210,7 @@ def discover(files: tuple[Path, ...], as_json: bool, verbose: bool, dask: str | 
         reading = reading.clustered()
         files = tuple(file if file == STANDARD_INPUT else file.absolute() for file in files)
     read = {file: state_of(file) for file in plain_files(files)}
-    with opt.cluster_client(dask) as client, Progress(verbose) as progress:
+    with opt.cluster_client(dask) as client, Progress(outputs.verbose) as progress:
         records, source = source_of(reading, files, used_channels(options), paths, outputs.refine, progress)
         if not options["chains"] and not options["target"]:  # `discover` reports malformed ones
             for name in used_channels(options):  # refuse an absent channel before the import below
@@ -225,7 +223,7 @@ def discover(files: tuple[Path, ...], as_json: bool, verbose: bool, dask: str | 
         try:
             with warnings.catch_warnings(record=True) as said:
                 answer = run(source, **options, progress=progress, client=client, stream=reading.stream)
-            outputs.write(answer, records, read, options["holdout"], as_json, progress, verbose)
+            outputs.write(answer, records, read, options["holdout"], progress)
         finally:  # warnings follow the verdict
             for one in said:
                 warnings.showwarning(one.message, one.category, one.filename, one.lineno)
@@ -281,157 +279,3 @@ def used_channels(options: Mapping[str, Any]) -> list[str]:
     single = (options.get(role, "") for role in opt.ROLES)
     texts = (*(options["chains"] or ()), *single, *options["inputs"], *(options["target"] or ()))
     return [name for text in texts for name in text.split(":") if name and not name.startswith("~")]
-
-
-# --- bayeq batch -----------------------------------------------------------------------------------------------------
-
-MANY = "Many files"
-
-# Files without equations that are named, at most; --json names all.
-NAMED = 20
-
-BATCH_EXAMPLES = """
-Examples:
-
-  A bridge, a file a day; the same command goes on where it was stopped, and takes in new files:
-
-    bayeq batch days/ --disp x --vel v --acc a --force u --jobs 8 --table drift.csv --figure drift.png
-
-  One equation of all files, and its coefficients in each:
-
-    bayeq batch day*.csv --common --chain x:v:a --input u --store common.db --figure drift.png
-"""
-
-
-@click.command(cls=opt.Command, epilog=BATCH_EXAMPLES)
-@click.argument("files", metavar="FILES...", nargs=-1, required=True, type=opt.FILE)
-@opt.option(
-    "--store",
-    group=MANY,
-    type=opt.FILE,
-    default=Path("batch.db"),
-    help="File of results. Files that have been done with the same options are not done again, unless they changed.",
-)
-@opt.option("--jobs", group=MANY, type=int, default=1, help="Worker processes; the results do not depend on it.")
-@opt.option(
-    "--common",
-    group=MANY,
-    is_flag=True,
-    help="Find one equation from all files together; each file then has the coefficients of its terms.",
-)
-@opt.file_written("--table", help="Write the coefficients over files: a table (.csv).")
-@opt.file_written("--figure", help="Write a figure of the coefficients over files (.png, .svg, .pdf).")
-@opt.json_option(group=opt.WRITTEN)
-def batch(
-    files: tuple[Path, ...],
-    store: Path,
-    jobs: int,
-    common: bool,
-    table: Path | None,
-    figure: Path | None,
-    as_json: bool,
-    **options: Any,
-) -> None:
-    """Find the equations of many files, one each, and how their coefficients drift.
-
-    FILES... are one record each, in this order; a folder means all files of known formats in it. Results are kept in a
-    file as they are found, so that a run that is stopped goes on where it was. A file that cannot be used does not stop
-    the others: it is named at the end, and the exit code is 1. It is 2 if the arguments are wrong, or no file could be
-    used.
-    """
-    options["join"] = False
-    reading = Reading.of(options)  # removes the reading options from `options`
-    options, paths = opt.named_channels(options)
-    options = cleaned(options)
-    if STANDARD_INPUT in files:
-        raise InputError("-: a batch is of files, which it knows again; write standard input to one")
-    from bayeq.batches.result import files_of
-
-    given = files_of(files)
-    require_output(store, given, "any")
-    require_output(table, given, "table")
-    require_output(figure, given, "figure")
-    from bayeq.batches.run import FILES, run_batch
-
-    if common and reading.stream is None:
-        reading = replace(reading, stream=reading.streamed(given))
-    read = _FileReading(reading, tuple(used_channels(options)), paths)
-    with Progress() as progress:
-        try:
-            found = run_batch(given, options, read, store, jobs, common, progress)
-        except KeyboardInterrupt:
-            done = progress.done if progress.stage == FILES else 0
-            raise InterruptedRun(
-                f"interrupted: {done} files were added to {store}; the same command continues"
-            ) from None
-    _show(found, store, as_json)
-    if len(found.refused) < len(found):
-        from bayeq.figures.style import write_output
-
-        for path in filter(None, (table, figure)):
-            write_output(path, found.table, found.plot)
-    _name_refused(found.refused, len(found))
-
-
-# The options of `discover` in groups of the help, without those for output and without --join.
-batch.params[1:1] = [
-    one for one in discover.params if getattr(one, "group", "") not in ("", opt.WRITTEN) and one.name != "join"
-]
-
-
-@dataclass(frozen=True)
-class _FileReading:
-    """Reads one file by the options; its `repr` enters the digest that distinguishes batches."""
-
-    reading: Reading
-    used: tuple[str, ...]
-    paths: Mapping[str, str]
-
-    def __call__(self, path: Path) -> Any:
-        from bayeq.resumable import silent
-
-        _, source = source_of(self.reading, [path], self.used, self.paths, False, silent)
-        return source
-
-
-def _show(found: Batch, store: Path, as_json: bool) -> None:
-    if not as_json:
-        click.echo(str(found))
-        return
-    from importlib.metadata import version
-
-    common = found.common
-    out = {
-        "version": version("bayeq"),
-        "store": str(store),
-        "done": found.done,
-        "files": [_file(one) for one in found],
-        "common": None if common is None else common.to_dict(),
-        "table": found.rows(),
-    }
-    click.echo(json.dumps(out, allow_nan=False))
-
-
-def _file(one: BatchFile) -> dict[str, Any]:
-    content = one.content or {}
-    return {
-        "file": one.path,
-        "status": one.status,
-        "message": one.message,
-        "verdict": content.get("verdict"),
-        "equations": {equation["target"]: equation["equation"] for equation in content.get("equations", ())},
-        "warnings": list(content["diagnostics"]["warnings"]) if content else [],
-    }
-
-
-def _name_refused(refused: Sequence[BatchFile], files: int) -> None:
-    """Say which files have no equations, and end with the exit code for it."""
-    for one in refused[:NAMED]:
-        named = one.path in one.message or Path(one.path).name in one.message
-        say(f"bayeq: {one.status}: {one.message if named else f'{one.path}: {one.message}'}")
-    if len(refused) > NAMED:
-        say(f"bayeq: and {len(refused) - NAMED} more, see --json")
-    if len(refused) == files:
-        raise InputError(f"none of the {files} files could be used; bayeq info FILE says what is in one")
-    if refused:
-        raise BayeqError(f"{len(refused)} of {files} files could not be used; the others are done")

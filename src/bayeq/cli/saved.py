@@ -12,8 +12,9 @@ from typing import Any
 import click
 
 from bayeq.cli import options as opt
+from bayeq.cli.outputs import require_output, show_equations
 from bayeq.cli.reading import Reading, plain_files, reading_options
-from bayeq.cli.terminal import Progress, require_output, show_equations
+from bayeq.cli.terminal import Progress
 from bayeq.errors import DataWarning, InputError, UnknownNameError
 
 EXAMPLES = """

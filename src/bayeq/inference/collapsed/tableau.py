@@ -59,7 +59,10 @@ def build(columns: Columns, Dty: Floats, yty: float, ridge: float) -> Tableau:
     p = len(Dty)
     most = min(p, MOST_ACTIVE)
     rows, row, term, size = np.empty((most, p + 1)), np.full(p, -1), np.empty(most, np.int64), np.zeros(1, np.int64)
-    return Tableau(rows, row, term, size, np.append(columns.diagonal + ridge, yty), Dty.copy())
+    diagonal = np.empty(p + 1)
+    diagonal[:-1] = columns.diagonal + ridge
+    diagonal[-1] = yty
+    return Tableau(rows, row, term, size, diagonal, Dty.copy())
 
 
 @kernel
