@@ -150,23 +150,16 @@ def test_drift_stays_at_rounding_through_200_000_flips(seed):
     assert_same(T, dense_tableau(p, active), rtol=1e-8, atol=1e-9 * size)
 
 
-def test_flip_returns_the_change_of_the_log_determinant():
-    _, _, p = problem(4, P=6)
-    T = swept(p, np.zeros(6, dtype=bool))
-    total = flip(p, T, 2) + flip(p, T, 4) + flip(p, T, 2)
-    assert total == pytest.approx(math.log(p.DtD[4, 4] + 1 / p.slab_variance), rel=1e-12)
-
-
 @settings(max_examples=draws(40), deadline=None)
 @given(seed=st.integers(0, 10**6))
-def test_a_climb_ends_where_no_flip_or_swap_improves_and_counts_its_gain(seed):
+def test_a_climb_ends_where_no_flip_or_swap_improves(seed):
     D, _, p = problem(seed)
     P = D.shape[1]
     z = np.random.default_rng(seed).random(P) < 0.5
     start = model_log_posterior(p, z)
-    gained = climb(p, swept(p, z), z, True)
+    climb(p, swept(p, z), z, True)
     top = model_log_posterior(p, z)
-    assert top - start == pytest.approx(gained, rel=1e-7, abs=1e-6)
+    assert top > start - 1e-6
     for i in range(P):
         for j in range(P):
             other = z.copy()

@@ -86,8 +86,8 @@ def _scan(p: Problem, T: Tableau, active: Bools, rng: np.random.Generator, inclu
 
 
 @kernel
-def exchange_terms(p: Problem, T: Tableau, active: Bools, rng: np.random.Generator, weight: Floats) -> int:
-    """Draw which term replaces a random active one; returns the number of flips.
+def exchange_terms(p: Problem, T: Tableau, active: Bools, rng: np.random.Generator, weight: Floats) -> None:
+    """Draw which term replaces a random active one.
 
     The model without term i is kept, and the term that completes it is drawn from its conditional among i and all
     inactive ones: reversible, for i is drawn uniformly. It carries a chain between models that differ by a swap of
@@ -96,7 +96,7 @@ def exchange_terms(p: Problem, T: Tableau, active: Bools, rng: np.random.Generat
     terms = len(active)
     candidates = np.flatnonzero(active & np.isfinite(p.log_odds))
     if len(candidates) == 0:
-        return 0
+        return
     leaves = candidates[int(rng.random() * len(candidates))]
     swap_gains(p, T, leaves, weight)
     top = max(0.0, weight.max())
@@ -106,7 +106,7 @@ def exchange_terms(p: Problem, T: Tableau, active: Bools, rng: np.random.Generat
         total += weight[j]
     left = rng.random() * total - math.exp(-top)
     if left < 0.0:
-        return 0
+        return
     for j in range(terms):
         left -= weight[j]
         if left < 0.0:
@@ -114,8 +114,7 @@ def exchange_terms(p: Problem, T: Tableau, active: Bools, rng: np.random.Generat
             flip(p, T, j)
             active[leaves] = False
             active[j] = True
-            return 2
-    return 0
+            return
 
 
 # One kernel runs a whole chain: its state, and the arrays that it fills, are all passed in.

@@ -29,8 +29,8 @@ MIN_GAIN = 1e-6
 
 
 @kernel
-def _best_action(T: Tableau, lam: Floats, beta: float) -> tuple[int, float, float]:
-    """The action that raises the marginal likelihood most: term (-1: none), its new lambda (inf: delete), log gain."""
+def _best_action(T: Tableau, lam: Floats, beta: float) -> tuple[int, float]:
+    """The action that raises the marginal likelihood most: term (-1: none), and its new lambda (inf: delete)."""
     p = len(lam)
     best, best_j, best_lam = MIN_GAIN, -1, math.inf
     for j in range(p):
@@ -62,7 +62,7 @@ def _best_action(T: Tableau, lam: Floats, beta: float) -> tuple[int, float, floa
             gain -= 0.5 * (math.log(lam[j] / (lam[j] + s)) + beta * q * q / (lam[j] + s))
         if gain > best:
             best, best_j, best_lam = gain, j, new
-    return best_j, best_lam, best
+    return best_j, best_lam
 
 
 @kernel
@@ -88,13 +88,13 @@ def _shift_ridge(T: Tableau, j: int, delta: float) -> None:
 def rvm_ascent(p: Problem, max_iter: int) -> tuple[Floats, Tableau, float, int, bool]:
     """Sequential maximisation; returns gamma (P,), the swept tableau, noise variance, steps, whether it converged."""
     terms, yty = len(p.Dty), p.yty
-    T = build(p.columns, p.Dty, yty, 0.0)
+    T = build(p, yty, 0.0)
     lam = np.full(terms, math.inf)
     floor = max(1e-14 * yty, 1e-300)
     steps, converged = 0, False
     while steps < max_iter:
         beta = p.dof / max(T.diagonal[terms], floor)
-        j, new, _ = _best_action(T, lam, beta)
+        j, new = _best_action(T, lam, beta)
         if j < 0:
             converged = True
             break
@@ -102,18 +102,18 @@ def rvm_ascent(p: Problem, max_iter: int) -> tuple[Floats, Tableau, float, int, 
         if lam[j] == math.inf:
             if T.size[0] == len(T.rows):
                 break
-            enter(p.columns, p.Dty, T, j, new)
+            enter(p, T, j, new)
         elif new == math.inf:
             leave(T, j)
             T.diagonal[j] -= lam[j]
         else:
             _shift_ridge(T, j, new - lam[j])
         lam[j] = new
-        if steps % LOOK == 0 and strayed(p.columns, p.Dty, yty, np.where(lam < math.inf, lam, 0.0), floor, T):
-            T = build(p.columns, p.Dty, yty, 0.0)
+        if steps % LOOK == 0 and strayed(p, T, yty, np.where(lam < math.inf, lam, 0.0), floor):
+            T = build(p, yty, 0.0)
             for k in range(terms):
                 if lam[k] < math.inf:
-                    enter(p.columns, p.Dty, T, k, lam[k])
+                    enter(p, T, k, lam[k])
     gamma = np.zeros(terms)
     for j in range(terms):
         if lam[j] < math.inf:

@@ -22,8 +22,8 @@ from bayeq.kernels import kernel
 # A column counts as linearly dependent on earlier ones if its pivot is a smaller share of its sum of squares.
 DEPENDENT = 1e-13
 
-# Thresholds tried by a sweep.
-SWEEP = 60
+# Thresholds tried by a sweep, and most regressions at each.
+SWEEP, MOST_REGRESSIONS = 60, 20
 
 
 @kernel
@@ -103,20 +103,18 @@ def _moments(gram: GramLike, centred: bool) -> tuple[Floats, Floats]:
 
 def stlsq(
     gram: GramLike,
-    prior: Prior | None = None,
     *,
     threshold: float = 0.1,
     ridge: float = 0.05,
     centred: bool = True,
-    max_iter: int = 20,
+    max_iter: int = MOST_REGRESSIONS,
 ) -> Posterior:
     """Sequentially thresholded least squares at one threshold, for coefficients in the units of the Gram.
 
     Terms with a smaller coefficient are dropped, in at most `max_iter` regressions. The ridge is added to the diagonal
     of D'D (PySINDy's alpha). `centred` estimates an intercept; otherwise the regression is on the raw columns as
-    PySINDy does. `prior` is ignored. `pip` is 1 for a term that is in; the covariance is that of least squares.
+    PySINDy does. `pip` is 1 for a term that is in; the covariance is that of least squares.
     """
-    del prior
     whole_number("max_iter", max_iter, 1)
     if not (threshold >= 0 and ridge >= 0):
         raise InputError("need threshold >= 0 and ridge >= 0")
@@ -132,37 +130,30 @@ def sweep_stlsq(
     *,
     held_out: Gram | None = None,
     columns: Literal["standardised", "raw"] = "standardised",
-    ridge: float = 0.0,
-    thresholds: Floats | None = None,
-    max_iter: int = 20,
 ) -> Posterior:
     """STLSQ at the threshold with the least error on held-out rows, in the units of the Gram.
 
-    `held_out` are other rows in the same units; without them the Bayesian information criterion decides. Thresholds, by
-    default 60 from the smallest to the largest coefficient of the regression on all terms, apply to coefficients of
-    standardised or raw columns, as does the ridge. `max_iter` limits the regressions per threshold.
+    `held_out` are other rows in the same units; without them the Bayesian information criterion decides. The
+    thresholds, 60 from the smallest to the largest coefficient of the regression on all terms, apply to coefficients of
+    standardised or raw columns.
     """
     if prior is not None:
         prior.refuse_signs("stlsq")
     if columns == "standardised":
         standard = gram.standardise()
         other = None if held_out is None else standard.apply(held_out)
-        inner = sweep_stlsq(
-            standard.gram, held_out=other, columns="raw", ridge=ridge, thresholds=thresholds, max_iter=max_iter
-        )
-        return inner.rescaled(standard)
+        return sweep_stlsq(standard.gram, held_out=other, columns="raw").rescaled(standard)
     K, c = _moments(gram, centred=True)
-    if thresholds is None:
-        full = np.empty(len(c))
-        least_squares(K, c, np.ones(len(c), dtype=np.bool_), ridge, full)
-        sizes = np.abs(full[full != 0.0])
-        thresholds = np.geomspace(sizes.min(), sizes.max(), SWEEP) if len(sizes) else np.zeros(1)
+    full = np.empty(len(c))
+    least_squares(K, c, np.ones(len(c), dtype=np.bool_), 0.0, full)
+    sizes = np.abs(full[full != 0.0])
+    thresholds = np.geomspace(sizes.min(), sizes.max(), SWEEP) if len(sizes) else np.zeros(1)
     path = np.empty((len(thresholds), len(c)))
-    for threshold, coef in zip(np.asarray(thresholds, dtype=np.float64), path, strict=True):
-        _threshold(K, c, threshold, ridge, max_iter, coef)
+    for threshold, coef in zip(thresholds, path, strict=True):
+        _threshold(K, c, threshold, 0.0, MOST_REGRESSIONS, coef)
     errors = [_score(gram, K, c, held_out, theta) for theta in path]
     best = path[int(np.argmin(errors))]
-    return _posterior(gram, K, c, best, ridge, True, len(path))
+    return _posterior(gram, K, c, best, 0.0, True, len(path))
 
 
 def _means(gram: GramLike) -> tuple[Floats, float]:

@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bayeq.arrays import Bools, Floats, Ints
-from bayeq.inference.collapsed.problem import Columns, Problem, fetch
+from bayeq.inference.collapsed.problem import Problem, fetch
 from bayeq.kernels import kernel
 
 # A climb stops when no move gains this much log posterior: above the rounding of h ln(s).
@@ -54,15 +54,15 @@ class Tableau(NamedTuple):
 
 
 @kernel
-def build(columns: Columns, Dty: Floats, yty: float, ridge: float) -> Tableau:
+def build(p: Problem, yty: float, ridge: float) -> Tableau:
     """Unswept tableau, of the empty model; `ridge` is 1/v_s, `yty` holds 2 b_sigma already."""
-    p = len(Dty)
-    most = min(p, MOST_ACTIVE)
-    rows, row, term, size = np.empty((most, p + 1)), np.full(p, -1), np.empty(most, np.int64), np.zeros(1, np.int64)
-    diagonal = np.empty(p + 1)
-    diagonal[:-1] = columns.diagonal + ridge
+    terms = len(p.Dty)
+    most = min(terms, MOST_ACTIVE)
+    row, term, size = np.full(terms, -1), np.empty(most, np.int64), np.zeros(1, np.int64)
+    diagonal = np.empty(terms + 1)
+    diagonal[:-1] = p.columns.diagonal + ridge
     diagonal[-1] = yty
-    return Tableau(rows, row, term, size, diagonal, Dty.copy())
+    return Tableau(np.empty((most, terms + 1)), row, term, size, diagonal, p.Dty.copy())
 
 
 @kernel
@@ -93,22 +93,22 @@ def _sweep(T: Tableau, pivot_row: Floats, j: int, pivot: float, skip: int) -> No
 
 
 @kernel
-def enter(columns: Columns, Dty: Floats, T: Tableau, j: int, ridge: float) -> float:
-    """Sweep inactive term j in, with `ridge` added to its diagonal in D'D; returns ln|pivot|, the change of ln|A|."""
-    p = len(Dty)
+def enter(p: Problem, T: Tableau, j: int, ridge: float) -> None:
+    """Sweep inactive term j in, with `ridge` added to its diagonal in D'D."""
+    terms = len(p.Dty)
     r = T.size[0]
     new = T.rows[r]
-    if columns.slot[j] < 0:
-        fetch(columns, j)
-    own = columns.rows[columns.slot[j]]
-    for k in range(p):
+    if p.columns.slot[j] < 0:
+        fetch(p.columns, j)
+    own = p.columns.rows[p.columns.slot[j]]
+    for k in range(terms):
         new[k] = own[k]
-    new[p] = Dty[j]
+    new[terms] = p.Dty[j]
     for a in range(r):
         factor = own[T.term[a]]
         if factor != 0.0:
             other = T.rows[a]
-            for k in range(p + 1):
+            for k in range(terms + 1):
                 new[k] -= factor * other[k]
     for a in range(r):
         new[T.term[a]] = T.rows[a, j]
@@ -116,23 +116,21 @@ def enter(columns: Columns, Dty: Floats, T: Tableau, j: int, ridge: float) -> fl
     new[j] = pivot
     _sweep(T, new, j, pivot, r)
     size = abs(pivot)
-    for k in range(p + 1):
+    for k in range(terms + 1):
         new[k] /= size
     new[j] = -1.0 / pivot
     T.row[j] = r
     T.term[r] = j
     T.size[0] = r + 1
-    return math.log(size)
 
 
 @kernel
-def leave(T: Tableau, j: int) -> float:
-    """Sweep active term j out; returns ln|pivot|, the change of ln|A|. M_jj then holds the ridge it entered with."""
+def leave(T: Tableau, j: int) -> None:
+    """Sweep active term j out. M_jj then holds the ridge it entered with."""
     a = T.row[j]
     last = T.size[0] - 1
     old = T.rows[a]
-    pivot = old[j]
-    _sweep(T, old, j, pivot, a)
+    _sweep(T, old, j, old[j], a)
     T.row[j] = -1
     if a != last:
         moved = T.rows[last]
@@ -141,21 +139,21 @@ def leave(T: Tableau, j: int) -> float:
         T.term[a] = T.term[last]
         T.row[T.term[a]] = a
     T.size[0] = last
-    return math.log(abs(pivot))
 
 
 @kernel
-def flip(p: Problem, T: Tableau, j: int) -> float:
-    """Sweep term j in or out, in place; returns ln|pivot|, the change of ln|A|."""
+def flip(p: Problem, T: Tableau, j: int) -> None:
+    """Sweep term j in or out, in place."""
     if T.row[j] >= 0:
-        return leave(T, j)
-    return enter(p.columns, p.Dty, T, j, 1.0 / p.slab_variance)
+        leave(T, j)
+    else:
+        enter(p, T, j, 1.0 / p.slab_variance)
 
 
 @kernel
 def swept(p: Problem, active: Bools) -> Tableau:
     """The tableau of a model, from scratch."""
-    T = build(p.columns, p.Dty, p.yty + 2.0 * p.noise_rate, 1.0 / p.slab_variance)
+    T = build(p, p.yty + 2.0 * p.noise_rate, 1.0 / p.slab_variance)
     for j in range(len(active)):
         if active[j]:
             flip(p, T, j)
@@ -176,19 +174,19 @@ def renew(p: Problem, T: Tableau, active: Bools) -> None:
 
 
 @kernel
-def strayed(columns: Columns, Dty: Floats, yty: float, ridges: Floats, floor: float, T: Tableau) -> bool:
+def strayed(p: Problem, T: Tableau, yty: float, ridges: Floats, floor: float) -> bool:
     """Whether rounding has spoilt a tableau that was moved from model to model, so that it must be swept again.
 
     M_yy, M_jy and M_jj are compared to their definitions given the active rows, b - sum_a M_ja b_a with b from the
     Gram. This costs about one flip. `ridges` (P,) are those of each term, `floor` is the least s that counts.
     """
-    terms, r = len(Dty), T.size[0]
+    columns, terms = p.columns, len(p.Dty)
     s = max(T.diagonal[terms], floor)
-    left, pull, own = yty, Dty.copy(), columns.diagonal + ridges
-    for a in range(r):
+    left, pull, own = yty, p.Dty.copy(), columns.diagonal + ridges
+    for a in range(T.size[0]):
         i = T.term[a]
         gram, row, mean = columns.rows[columns.slot[i]], T.rows[a], T.partial[i]
-        left -= mean * Dty[i]
+        left -= mean * p.Dty[i]
         for j in range(terms):
             pull[j] -= mean * gram[j]
             own[j] -= row[j] * gram[j]
@@ -211,7 +209,7 @@ def strayed(columns: Columns, Dty: Floats, yty: float, ridges: Floats, floor: fl
 def drifted(p: Problem, T: Tableau) -> bool:
     """Whether the tableau of a model has `strayed`."""
     ridges = np.full(len(p.Dty), 1.0 / p.slab_variance)
-    return strayed(p.columns, p.Dty, p.yty + 2.0 * p.noise_rate, ridges, p.floor, T)
+    return strayed(p, T, p.yty + 2.0 * p.noise_rate, ridges, p.floor)
 
 
 @kernel(borrowing=True)
@@ -304,10 +302,9 @@ def best_swap(p: Problem, T: Tableau, least: float) -> tuple[float, int, int]:
 
 
 @kernel
-def climb(p: Problem, T: Tableau, active: Bools, swaps: bool) -> float:
-    """Steepest ascent from a model, in place, by flips, and if `swaps` by swaps where no flip improves; the gain."""
+def climb(p: Problem, T: Tableau, active: Bools, swaps: bool) -> None:
+    """Steepest ascent from a model, in place, by flips, and if `swaps` by swaps where no flip improves."""
     terms = len(active)
-    gained = 0.0
     gains = np.empty(terms)
     for step in range(20 * terms + 20):
         if step % LOOK == LOOK - 1 and drifted(p, T):
@@ -326,8 +323,6 @@ def climb(p: Problem, T: Tableau, active: Bools, swaps: bool) -> float:
             active[best_i] = False
         flip(p, T, best_j)
         active[best_j] = not active[best_j]
-        gained += best
-    return gained
 
 
 @kernel
