@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 from bayeq.app.choices import Choices, discover_command
 from bayeq.errors import InputError
+from bayeq.resumable import PROGRESS
 from bayeq.resumable.posix import KILL, has_ended, is_of_this_user, signal_group
 
 # Prefix of the folders; the process id follows.
@@ -32,9 +33,6 @@ LARGEST = 200_000_000
 
 # Longest name of a file [characters], with its ending.
 LONGEST_NAME = 80
-
-# Prefix of progress lines.
-_PROGRESS = "bayeq: progress: "
 
 #: Activities, as values of `Session.busy`.
 READING, LOOKING = "reading the file", "looking for the equation"
@@ -226,7 +224,7 @@ class Session:
     def _say(self, line: str) -> None:
         """Add a progress line; warnings and errors are shown elsewhere (report, outcome)."""
         if not line.startswith(("bayeq: warning: ", "bayeq: error: ")):
-            self.progress.append(line.removeprefix(_PROGRESS))
+            self.progress.append(line.removeprefix(PROGRESS))
             self.changed("progress")
 
     def _forget(self, path: Path) -> None:

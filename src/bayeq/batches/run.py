@@ -165,8 +165,8 @@ def run_batch(
 
         work, first = partial(_work, dict(used), read), lambda keys: places[keys[0]]
         done = fill(kept, missing, work, keep, jobs, tasks=first, progress=partial(step, FILES))
-        found = [kept.outcome(path, key) for key, path in places.items()]
-    return Batch(tuple(one for one in found if one is not None), shared, done)
+        found = tuple(kept.outcome(path, key) for key, path in places.items())
+    return Batch(found, shared, done)
 
 
 class BatchStore(ResultStore):
@@ -199,12 +199,12 @@ class BatchStore(ResultStore):
         rows = self._read(f"SELECT size, mtime, sha256 FROM files WHERE {self._is_key} AND status = 'ok'", key)
         return any(Identity(*row).holds(path or Path(key[0])) for row in rows)
 
-    def outcome(self, path: Path, key: Key) -> BatchFile | None:
+    def outcome(self, path: Path, key: Key) -> BatchFile:
         with self._guard():
-            rows = self._read(f"SELECT status, message, answer FROM files WHERE {self._is_key}", key)
-            for status, message, answer in rows:
-                return BatchFile(str(path), status, message, answer and json.loads(answer))
-        return None
+            ((status, message, answer),) = self._read(
+                f"SELECT status, message, answer FROM files WHERE {self._is_key}", key
+            )
+            return BatchFile(str(path), status, message, answer and json.loads(answer))
 
     def add_common(self, options: str, contents: str, answer: str) -> None:
         """Store the common equation, as JSON, of the files whose `_contents` hash is `contents`."""

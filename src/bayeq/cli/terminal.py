@@ -11,6 +11,7 @@ from io import TextIOWrapper
 from typing import Any
 
 from bayeq.errors import BayeqError, in_digits
+from bayeq.resumable import PROGRESS
 from bayeq.resumable.posix import address_space
 
 # Exit code of an interrupted command, as shells count it.
@@ -66,9 +67,6 @@ def no_memory() -> str:
 
 
 COMPILING = "compiling what runs for the first time after installation: up to a minute ..."
-
-#: Prefix of progress lines.
-PROGRESS = "bayeq: progress: "
 
 #: Text of stages in progress lines; other stages are printed by name.
 STAGES = {

@@ -495,11 +495,8 @@ def _lazy_grams(D: Floats, Y: Floats, names: Sequence[str] | None, weights: Arra
     w = np.ones(len(D)) if weights is None else checked_weights(weights, len(D))
     n = float(w.sum())
     with np.errstate(over="ignore", invalid="ignore"):
-        mean, target_mean = w @ D / n, w @ Y / n
-        data, rest = D - mean, Y - target_mean
-        if weights is not None:
-            data *= np.sqrt(w)[:, None]
-            rest *= np.sqrt(w)[:, None]
+        mean, target_mean, root = w @ D / n, w @ Y / n, np.sqrt(w)[:, None]
+        data, rest = root * (D - mean), root * (Y - target_mean)
         diagonal, yty = np.einsum("ij,ij->j", data, data), np.einsum("ij,ij->j", rest, rest)
         Dty = data.T @ rest
     bad = np.flatnonzero(~np.isfinite(diagonal))

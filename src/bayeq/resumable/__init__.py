@@ -2,7 +2,10 @@
 
 from collections.abc import Callable
 
-__all__ = ["Progress", "silent"]
+__all__ = ["PROGRESS", "Progress", "silent"]
+
+#: Prefix of progress lines.
+PROGRESS = "bayeq: progress: "
 
 #: Called with (stage, done, total).
 Progress = Callable[[str, int, int], None]

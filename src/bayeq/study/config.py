@@ -63,13 +63,14 @@ class StudyConfig:
         ]
 
 
-def choose(kind: str, names: Iterable[str], known: Iterable[str]) -> tuple[str, ...]:
-    """The names, checked, each once, in the order of `known`; an InputError without names, or for one not known.
+def choose(kind: str, names: Iterable[str] | None, known: Iterable[str]) -> tuple[str, ...]:
+    """The names (None: all), checked, each once, in the order of `known`; InputError without any, or for one not known.
 
     >>> choose("system", ["duffing", "linear", "duffing"], STUDY_SYSTEMS)
     ('linear', 'duffing')
     """
-    order, wanted = tuple(known), tuple(names)
+    order = tuple(known)
+    wanted = order if names is None else tuple(names)
     for name in wanted:
         if name not in order:
             raise UnknownNameError(f"{kind} of the study", name, order)

@@ -177,7 +177,7 @@ def _fits(
 
 def cells_of(names: Sequence[str] | None, noises: Sequence[float], methods: Sequence[str]) -> list[Cell]:
     """The cells of some systems (None: all), noises in per cent, and `METHODS`; names that are not known are errors."""
-    chosen = choose("system", systems() if names is None else names, systems())
+    chosen = choose("system", names, systems())
     kinds = choose("method", methods, METHODS)
     return [(name, float(noise), method) for name in chosen for noise in noises for method in kinds]
 

@@ -223,7 +223,7 @@ def cells_of(
     """The cells of some systems (None: all), `NOISES`, shares of the points, `DICTIONARIES` and `METHODS`, checked."""
     return [
         (name, start, noise, float(share), dictionary, method)
-        for name in choose("system", systems() if names is None else names, systems())
+        for name in choose("system", names, systems())
         for start in (0, 1)
         for noise in choose("noise", noises, NOISES)
         for share in points

@@ -270,9 +270,6 @@ def _relative_error(estimate: Floats, truth: Floats) -> float:
     return float(np.linalg.norm(estimate - truth) / np.linalg.norm(truth))
 
 
-COLUMNS = ("system", "idx", "algorithm", *METRICS, "seconds", "selected", "converged", "extras", "failure")
-
-
 class Store(ResultStore):
     """File of a study, opened to run it if a configuration is given, else to read it; `config` is the stored one.
 
@@ -345,9 +342,8 @@ class Store(ResultStore):
 
     def results(self) -> Iterator[Result]:
         """All rows, by system, algorithm and index."""
-        statement = f"SELECT {', '.join(COLUMNS)} FROM results ORDER BY system, algorithm, idx"
         with self._guard():
-            yield from map(_result, self._connection.execute(statement))
+            yield from map(_result, self._connection.execute("SELECT * FROM results ORDER BY system, algorithm, idx"))
 
 
 def _row(result: Result) -> tuple[Any, ...]:
@@ -425,18 +421,17 @@ def run_study(
             file.add(results)
             failures.extend(r for r in results if r.failure is not None)
 
+        def realisations_in(results: Sequence[Result]) -> int:
+            return len({(r.system, r.index) for r in results})
+
         work = partial(_work, config)
-        done = fill(file, missing, work, keep, jobs, size, _tasks, _realisations, cluster, progress)
+        done = fill(file, missing, work, keep, jobs, size, _tasks, realisations_in, cluster, progress)
     return Outcome(done, len(failures), time.monotonic() - started)
 
 
 def _tasks(keys: Sequence[Key]) -> tuple[Task, ...]:
     groups = groupby(keys, key=lambda key: key[:2])
     return tuple(Task(system, index, tuple(key[2] for key in group)) for (system, index), group in groups)
-
-
-def _realisations(results: Sequence[Result]) -> int:
-    return len({(r.system, r.index) for r in results})
 
 
 def _per_batch(config: StudyConfig, task: Task) -> int:

@@ -160,11 +160,9 @@ class Threads:
                     waiting.append(pool.submit(work, unit))
                     if len(waiting) > workers:
                         yield 1, waiting.popleft().result()
-                while waiting:
-                    yield 1, waiting.popleft().result()
+                yield from ((1, one.result()) for one in waiting)
             finally:
-                for one in waiting:
-                    one.cancel()
+                pool.shutdown(cancel_futures=True)
 
 
 def fold(
