@@ -84,7 +84,7 @@ def measure(path: Path, smooth: str, workers: int) -> dict[str, object]:
 
     spent: dict[str, float] = {}
     whole = summing.fold
-    summing.Threads.__init__.__defaults__ = (workers,)
+    summing.by_threads.__defaults__ = (workers,)
 
     def timed(
         work: object, units: object, executor: object, progress: object, stage: str, kept: object = None

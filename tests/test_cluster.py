@@ -12,6 +12,7 @@ import threading
 import time
 import warnings
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ import pytest
 import bayeq as bq
 from bayeq.cli.app import main
 from bayeq.discovery.streaming.cluster import Cluster, connected
-from bayeq.discovery.streaming.work import AsMeasured, Extent, Threads, fold, units_of
+from bayeq.discovery.streaming.work import AsMeasured, Extent, by_threads, fold, units_of
 from bayeq.errors import BayeqError, InputError, MissingExtraError, RecordError, UnknownNameError
 from bayeq.expressions import parse
 from bayeq.records.stream import RecordStream, open_streams
@@ -186,7 +187,7 @@ def test_any_number_of_workers_gives_the_same_bytes(path, record, client, folder
             work = AsMeasured(extents, Roles.parse(**OSCILLATOR), TERMS, 0.2)
             sums = [
                 fold(work, units_of(extents), executor, lambda *_: None, "rows").train.moments.cross
-                for executor in (Cluster(client), Cluster(alone), Threads(2))
+                for executor in (Cluster(client).map, Cluster(alone).map, partial(by_threads, workers=2))
             ]
             assert sums[0].tobytes() == sums[1].tobytes()
             np.testing.assert_allclose(sums[0], sums[2], rtol=1e-9, atol=1e-9 * np.abs(sums[2]).max())

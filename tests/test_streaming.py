@@ -6,6 +6,7 @@ import json
 import sys
 import warnings
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from bayeq.discovery.streaming.work import (
     Folded,
     Lagged,
     OfRows,
-    Threads,
+    by_threads,
     fold,
     fold_columns,
     stretches,
@@ -310,7 +311,7 @@ def test_any_number_of_threads_gives_the_same_bytes(record):
     from bayeq.states import Roles
 
     work = AsMeasured(extents, Roles.parse(**OSCILLATOR), tuple(TERMS), 0.2)
-    sums = [fold(work, units_of(extents), Threads(k), lambda *_: None, "rows") for k in (1, 2, 5)]
+    sums = [fold(work, units_of(extents), partial(by_threads, workers=k), lambda *_: None, "rows") for k in (1, 2, 5)]
     for other in sums[1:]:
         assert other.train.moments.cross.tobytes() == sums[0].train.moments.cross.tobytes()
 
@@ -381,7 +382,7 @@ def test_a_sum_that_is_kept_goes_on_where_it_was(record, tmp_path, monkeypatch):
     extents = (Extent(RecordStream(record), 0, record.n),)
     work = AsMeasured(extents, Roles.parse(**OSCILLATOR), tuple(TERMS), 0.2)
     units = units_of(extents)
-    whole = fold(work, units, Threads(1), lambda *_: None, "rows")
+    whole = fold(work, units, partial(by_threads, workers=1), lambda *_: None, "rows")
     done = []
 
     def stopped(unit):
@@ -392,7 +393,7 @@ def test_a_sum_that_is_kept_goes_on_where_it_was(record, tmp_path, monkeypatch):
 
     path = tmp_path / "sum.npz"
     with pytest.raises(KeyboardInterrupt):
-        fold(stopped, units, Threads(1), lambda *_: None, "rows", Checkpoint(path))
+        fold(stopped, units, partial(by_threads, workers=1), lambda *_: None, "rows", Checkpoint(path))
     count, _ = Checkpoint(path).load()
     assert 2 <= count <= 4
     seen = []
@@ -401,7 +402,7 @@ def test_a_sum_that_is_kept_goes_on_where_it_was(record, tmp_path, monkeypatch):
         seen.append(unit)
         return work(unit)
 
-    again = fold(counted, units, Threads(1), lambda *_: None, "rows", Checkpoint(path))
+    again = fold(counted, units, partial(by_threads, workers=1), lambda *_: None, "rows", Checkpoint(path))
     assert seen == units[count:]
     assert again.train.moments.cross.tobytes() == whole.train.moments.cross.tobytes()
 
@@ -434,7 +435,7 @@ def test_units_that_are_counted_are_in_the_sum_wherever_an_interrupt_falls(recor
         sys._getframe().f_trace_opcodes = True  # Python 3.12 asks for it before there is a trace
         sys.settrace(trace)
         try:
-            fold(rows_of, units[:4], _InOrder(), lambda *_: None, "rows", kept)
+            fold(rows_of, units[:4], _in_order, lambda *_: None, "rows", kept)
         except KeyboardInterrupt:
             done, total = kept.load()
             assert (0 if total is None else int(total[0])) == sum(unit.n for unit in units[:done])
@@ -449,10 +450,9 @@ def test_units_that_are_counted_are_in_the_sum_wherever_an_interrupt_falls(recor
     assert step > 100
 
 
-class _InOrder:
-    def map(self, work, units):
-        for unit in units:
-            yield 1, work(unit)
+def _in_order(work, units):
+    for unit in units:
+        yield 1, work(unit)
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 damaged", b"\x93NUMPY"])
@@ -493,10 +493,10 @@ def test_an_interrupted_command_says_where_its_sums_are_and_goes_on_to_the_same_
     command = ["discover", path.name, *channels, "--smooth", "none", "--stream"]
     assert main(command) == 0
     expected = capsys.readouterr()
-    whole, seen = Threads.map, []
+    whole, seen = by_threads, []
 
-    def stopped(self, work, units):
-        for done in whole(self, work, units):
+    def stopped(work, units):
+        for done in whole(work, units):
             yield done
             seen.append(units)
             if len(seen) == 2:
@@ -511,7 +511,7 @@ def test_an_interrupted_command_says_where_its_sums_are_and_goes_on_to_the_same_
     ):
         seen.clear()
         with monkeypatch.context() as patch:
-            patch.setattr(Threads, "map", stopped)
+            patch.setattr("bayeq.discovery.entry.by_threads", stopped)
             assert main([*command, *extra]) == 130
         assert capsys.readouterr() == ("", line)
     assert len(list((tmp_path / "sums").iterdir())) == 1

@@ -20,7 +20,7 @@ from bayeq.discovery.question import NotStreamed, Question
 from bayeq.discovery.streaming.checkpoint import Checkpoints, cache_folder
 from bayeq.discovery.streaming.cluster import Cluster, dask_streams, is_dask
 from bayeq.discovery.streaming.whole import Whole
-from bayeq.discovery.streaming.work import Executor, Extent, Threads, of_channels, stretches
+from bayeq.discovery.streaming.work import Executor, Extent, by_threads, of_channels, stretches
 from bayeq.equation.equations import Equations
 from bayeq.equation.selection.select import Rules
 from bayeq.errors import (
@@ -424,7 +424,7 @@ def _answer(
 ) -> tuple[Equations, WarningLog]:
     """Answer a question from records that are read whole or, if they are long, some rows at a time."""
     channels = [name for name in question.roles.channels if not EARLIER.fullmatch(name)]
-    executor = Threads() if client is None else Cluster(client)
+    executor = by_threads if client is None else Cluster(client).map
     if is_dask(records):
         if client is None:
             raise InputError("Dask collections are read by a cluster: give client=, a dask.distributed.Client")

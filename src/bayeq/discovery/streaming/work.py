@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
-from typing import Any, Generic, Protocol, Self, TypeVar
+from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -134,35 +134,25 @@ class Work(ABC, Generic[Of]):
         """The statistic of a unit."""
 
 
-class Executor(Protocol):
-    """Computes a `Work` for units: threads or a cluster."""
-
-    def map(self, work: Work[Of], units: Sequence[Unit]) -> Iterator[tuple[int, Of]]:
-        """Yield, in order, a number of consecutive units and the sum of their statistics."""
-        ...
+#: Computes a `Work` for units; yields, in order, a number of consecutive units and the sum of their statistics.
+Executor = Callable[[Work[Any], Sequence[Unit]], Iterator[tuple[int, Any]]]
 
 
-class Threads:
-    """Threads of this process, as many as there are cores; few units are in memory at a time."""
+def by_threads(work: Work[Of], units: Sequence[Unit], workers: int | None = None) -> Iterator[tuple[int, Of]]:
+    """An `Executor`: threads of this process, by default as many as cores; few units are in memory at a time."""
+    from joblib import cpu_count  # which takes a while to import
 
-    def __init__(self, workers: int | None = None) -> None:
-        self.workers = workers
-
-    def map(self, work: Work[Of], units: Sequence[Unit]) -> Iterator[tuple[int, Of]]:
-        """Yield the statistics of single units, in order."""
-        from joblib import cpu_count  # which takes a while to import
-
-        workers = self.workers or cpu_count()
-        waiting: deque[Any] = deque()
-        with threadpool_limits(1), ThreadPoolExecutor(workers) as pool:
-            try:
-                for unit in units:
-                    waiting.append(pool.submit(work, unit))
-                    if len(waiting) > workers:
-                        yield 1, waiting.popleft().result()
-                yield from ((1, one.result()) for one in waiting)
-            finally:
-                pool.shutdown(cancel_futures=True)
+    workers = workers or cpu_count()
+    waiting: deque[Any] = deque()
+    with threadpool_limits(1), ThreadPoolExecutor(workers) as pool:
+        try:
+            for unit in units:
+                waiting.append(pool.submit(work, unit))
+                if len(waiting) > workers:
+                    yield 1, waiting.popleft().result()
+            yield from ((1, one.result()) for one in waiting)
+        finally:
+            pool.shutdown(cancel_futures=True)
 
 
 def fold(
@@ -174,7 +164,7 @@ def fold(
     rows = [0, *accumulate(unit.n for unit in units)]
     progress(stage, rows[so_far[0]], rows[-1])
     try:
-        for count, part in executor.map(work, units[so_far[0] :]):
+        for count, part in executor(work, units[so_far[0] :]):
             done, total = so_far
             so_far = done + count, part if total is None else total + part
             progress(stage, rows[so_far[0]], rows[-1])
@@ -184,8 +174,8 @@ def fold(
         if kept is not None and so_far[0]:
             kept.save(*so_far, last=True)
         raise
-    assert so_far[1] is not None
-    return so_far[1]
+    found: Of = so_far[1]
+    return found
 
 
 Columns = dict[str, Floats]
