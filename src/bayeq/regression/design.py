@@ -111,13 +111,39 @@ def build_design(
     `allowed`, (C, P), are the candidates of each equation, by default all. An InputError says that no candidate can be
     used, or that one cannot because of the unit of a channel.
     """
-    builder = _Builder(terms, motion, progress)
-    train = builder.grams(motion.train, keep=sum(rows.n for rows in motion.train) * len(terms) <= MOST_KEPT)
-    held_out = builder.grams(motion.held_out) if motion.held_out else ()
-    if allowed is None:
-        allowed = np.ones((len(motion.roles.chains), len(terms)), dtype=np.bool_)
-    found = Design(motion, tuple(terms), train, held_out, (), tuple(builder.kept), allowed)
-    return usable_terms(found, builder.bad, builder.total)
+    names, targets = tuple(term.text for term in terms), motion.roles.targets
+    total, done = sum(rows.n for rows in motion.records), 0
+    bad, kept = np.zeros(len(terms), dtype=np.int64), []
+
+    def evaluated(rows: MotionRows) -> Floats:
+        nonlocal done
+        D = evaluate_terms(terms, rows.columns)
+        for j in np.flatnonzero(~(np.abs(D).max(axis=0) <= LARGEST)):
+            bad[j] += int(np.count_nonzero(~(np.abs(D[:, j]) <= LARGEST)))
+            D[:, j] = 0.0
+        done += rows.n
+        if progress is not None:
+            progress(done, total)
+        return D
+
+    def blocks(pieces: Sequence[MotionRows], keep: bool) -> Iterator[tuple[Floats, Floats]]:
+        """Columns and targets of the rows that were measured; with `keep` the columns of all rows are kept."""
+        for rows in pieces:
+            if keep:
+                kept.append(evaluated(rows))
+            for start in range(0, rows.n, BLOCK_ROWS):
+                chosen = slice(start, start + BLOCK_ROWS)
+                block = rows.part(chosen)
+                D = kept[-1][chosen] if keep else evaluated(block)
+                Y = np.column_stack([block.observed[target] for target in targets])
+                yield (D, Y) if block.known.all() else (D[block.known], Y[block.known])
+
+    few = sum(rows.n for rows in motion.train) * len(terms) <= MOST_KEPT
+    train = grams_from_blocks(blocks(motion.train, few), names, len(targets))
+    held_out = grams_from_blocks(blocks(motion.held_out, False), names, len(targets)) if motion.held_out else ()
+    every = np.ones((1, 1), dtype=np.bool_)
+    found = Design(motion, tuple(terms), train, held_out, (), tuple(kept), every if allowed is None else allowed)
+    return usable_terms(found, bad, total)
 
 
 def usable_terms(design: Design, bad: Ints, rows: int) -> Design:
@@ -146,45 +172,6 @@ def usable_terms(design: Design, bad: Ints, rows: int) -> Design:
         kept=tuple(np.asfortranarray(columns[:, kept]) for columns in design.kept),
         allowed=allowed[:, kept],
     )
-
-
-class _Builder:
-    """Evaluates terms block by block, counting the rows in which each is not finite."""
-
-    def __init__(self, terms: Sequence[Expression], motion: Motion, progress: Progress | None) -> None:
-        self.terms, self.targets, self.progress = terms, motion.roles.targets, progress
-        self.total = sum(rows.n for rows in motion.records)
-        self.bad = np.zeros(len(terms), dtype=np.int64)
-        self.kept: list[Floats] = []
-        self.done = 0
-
-    def grams(self, pieces: Sequence[MotionRows], keep: bool = False) -> tuple[Gram, ...]:
-        """One Gram per target, of the rows that were measured; with `keep` the columns are kept."""
-        names = tuple(term.text for term in self.terms)
-
-        def blocks() -> Iterator[tuple[Floats, Floats]]:
-            for rows in pieces:
-                whole = self._evaluate(rows) if keep else None
-                if whole is not None:
-                    self.kept.append(whole)
-                for start in range(0, rows.n, BLOCK_ROWS):
-                    chosen = slice(start, start + BLOCK_ROWS)
-                    block = rows.part(chosen)
-                    D = self._evaluate(block) if whole is None else whole[chosen]
-                    Y = np.column_stack([block.observed[target] for target in self.targets])
-                    yield (D, Y) if block.known.all() else (D[block.known], Y[block.known])
-
-        return grams_from_blocks(blocks(), names, len(self.targets))
-
-    def _evaluate(self, rows: MotionRows) -> Floats:
-        D = evaluate_terms(self.terms, rows.columns)
-        for j in np.flatnonzero(~(np.abs(D).max(axis=0) <= LARGEST)):
-            self.bad[j] += int(np.count_nonzero(~(np.abs(D[:, j]) <= LARGEST)))
-            D[:, j] = 0.0
-        self.done += rows.n
-        if self.progress is not None:
-            self.progress(self.done, self.total)
-        return D
 
 
 def _unwritable(grams: Sequence[Gram]) -> Bools:
