@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from bayeq.discovery.entry import discover, question_of
+from bayeq.discovery.entry import SOURCES, discover, question_of
 from bayeq.discovery.question import Question
 from bayeq.equation.answer import CONSTANT
 from bayeq.equation.equations import Equations
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 Read = Callable[[Path], Any]
 
 # Arguments of `discover` that are not part of a `Question`.
-_BESIDE = {"records", "progress", "t", "stream", "client", "checkpoint"}
+_BESIDE = {*SOURCES, "progress"}
 
 # Slab variance that shrinks no coefficient, used when all terms are included.
 _WIDE = 1e8

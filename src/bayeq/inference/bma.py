@@ -186,12 +186,7 @@ def spike_slab_bma(
     contradicted = tuple(gram.names[j] for j in found.contradicted)
     unsettled = tuple(gram.names[j] for j in np.flatnonzero(~(settled | known)))
     details = Details(
-        "bma",
-        found.expanded,
-        not unsettled,
-        problem.slab_variance,
-        contradicted=contradicted,
-        unsettled=unsettled,
+        "bma", found.expanded, not unsettled, problem.slab_variance, contradicted=contradicted, unsettled=unsettled
     )
     averaged = Averaged(mean, np.sqrt(np.maximum(square - mean * mean, 0.0)))
     return of_standardised(gram, pip, support, coef, conditional, noise, details, averaged, listed)

@@ -8,6 +8,7 @@ comparison (without such rows by the Bayesian information criterion).
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -15,7 +16,7 @@ import numpy as np
 from bayeq.arrays import Bools, Floats
 from bayeq.errors import InputError, whole_number
 from bayeq.inference.gram import Gram, GramLike, LazyGram, dense
-from bayeq.inference.posterior import Constant, Details, Posterior
+from bayeq.inference.posterior import Constant, Details, Posterior, of_standardised
 from bayeq.inference.prior import Prior
 from bayeq.kernels import kernel
 
@@ -191,15 +192,7 @@ def _posterior(
     scale = 1.0 / np.sqrt(np.diagonal(information))
     unit = np.outer(scale, scale)
     inverse = np.linalg.pinv(information * unit, rcond=len(kept) * np.finfo(np.float64).eps, hermitian=True) * unit
-    return Posterior(
-        names=gram.names,
-        pip=support.astype(np.float64),
-        support=support,
-        coef=coef.copy(),
-        covariance=variance * inverse,
-        # zero means of the columns and of the target: no intercept
-        constant=Constant(mean, target_mean) if centred else Constant(np.zeros(len(coef))),
-        noise_variance=variance,
-        n=n,
-        details=Details("stlsq", abs(steps), steps > 0),
-    )
+    pip, details = support.astype(np.float64), Details("stlsq", abs(steps), steps > 0)
+    found = of_standardised(gram, pip, support, coef.copy(), variance * inverse, variance, details)
+    # zero means of the columns and of the target: no intercept
+    return replace(found, n=n, constant=Constant(mean, target_mean)) if centred else replace(found, n=n)

@@ -29,8 +29,6 @@ from bayeq.inference.posterior import Posterior
 from bayeq.regression.residuals import Residuals
 from bayeq.states import Motion, MotionRows
 
-Progress = Callable[[int, int], None]
-
 # Rows evaluated at a time where the columns are not kept.
 BLOCK_ROWS = 65_536
 
@@ -104,7 +102,10 @@ class Design:
 
 
 def build_design(
-    terms: Sequence[Expression], motion: Motion, progress: Progress | None = None, allowed: Bools | None = None
+    terms: Sequence[Expression],
+    motion: Motion,
+    progress: Callable[[int, int], None] | None = None,
+    allowed: Bools | None = None,
 ) -> Design:
     """Evaluate terms on motion and add up their Gram matrices; `progress` is called with (rows done, rows in all).
 

@@ -25,7 +25,7 @@ from bayeq.inference.collapsed.slab import (
 )
 from bayeq.inference.engines import ENGINES, Engine
 from bayeq.inference.gram import Gram, Standardised
-from bayeq.inference.posterior import Averaged, Constant, Details, Mixture, ModelAverage, Posterior
+from bayeq.inference.posterior import Averaged, Details, Mixture, ModelAverage, Posterior, of_standardised
 from bayeq.inference.prior import Prior, limited
 from bayeq.inference.vb import spike_slab_vb
 from bayeq.likelihood.hidden import seen_in
@@ -411,19 +411,9 @@ def _equation(regression: Regression, record: RecordFit, constraints: Constraint
     assert joint.averaged is not None
     assert joint.average is not None
     average = _marginal(joint.average, terms)
-    posterior = Posterior(
-        names=standard.source.names,
-        pip=joint.pip[terms],
-        support=support,
-        coef=coef,
-        covariance=covariance,
-        constant=Constant(np.zeros(len(terms))),
-        noise_variance=1.0,
-        n=standard.source.n,
-        details=Details(method, joint.details.n_iter, settled, 1.0),
-        averaged=Averaged(joint.averaged.coef[terms], joint.averaged.sd[terms]),
-        average=average,
-    )
+    averaged = Averaged(joint.averaged.coef[terms], joint.averaged.sd[terms])
+    details, pip = Details(method, joint.details.n_iter, settled, 1.0), joint.pip[terms]
+    posterior = of_standardised(standard.gram, pip, support, coef, covariance, 1.0, details, averaged, average)
     if method == "auto":
         vb = spike_slab_vb(standard.gram, prior, models=list(average.models[:VB_STARTS]))
         posterior = replace(posterior, details=replace(posterior.details, elbo_trace=vb.details.elbo_trace))

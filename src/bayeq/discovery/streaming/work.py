@@ -178,8 +178,6 @@ def fold(
     return found
 
 
-Columns = dict[str, Floats]
-
 #: Rows whose likelihood is computed together. The state before them is unknown, which costs the information of some
 #: hundred rows; each row takes 1 kB of memory.
 BLOCK_ROWS = 2**16
@@ -307,7 +305,7 @@ class _Rows(Work[Of]):
         estimated = any(name is None for chain in self.roles.chains for name in chain.measured)
         return max(chain.order for chain in self.roles.chains) if estimated else 0
 
-    def columns(self, unit: Unit) -> tuple[Columns, Columns, float, float]:
+    def columns(self, unit: Unit) -> tuple[dict[str, Floats], dict[str, Floats], float, float]:
         """States, inputs and targets of the rows for training and held out; times of the first and last row, or NaN."""
         extent = self.extents[unit.extent]
         start, stop = max(unit.start - self.reach, extent.start), min(unit.stop + self.reach, extent.stop)
