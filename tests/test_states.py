@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from bayeq import Record, discover, simulate
 from bayeq.errors import ChainError, InputError, RecordError, UnknownNameError
-from bayeq.states import parse_chain, parse_chains
+from bayeq.states import Roles, parse_chain, parse_chains
 from bayeq.states.derive import current, derive_states, require_varying
 from bayeq.systems.system import BandLimitedForce, System
 
@@ -137,7 +137,7 @@ def test_what_cannot_be_used_is_refused():
     with pytest.warns(DeprecationWarning, match="is now smooth='auto'"):
         assert current("band") == "auto"
     with pytest.raises(ChainError, match="both an input"):
-        derive_states(rec, parse_chains(["x:v:a"]), ["v"])
+        Roles.parse("x:v:a", inputs=["v"])
     with pytest.raises(RecordError, match="channel 'q' is constant"):
         require_varying([Record.from_arrays(time=rec.time, x=x, q=np.ones(50))], ["x", "q"])
     with pytest.raises(RecordError, match="varies by 1e-200 only"):

@@ -41,7 +41,7 @@ def warn_of_sensors(motion: Motion, given: Set[str], log: WarningLog) -> None:
             " computed from",
             DataWarning,
         )
-    unused = [name for name in roles.measured if sensors.noisy(name)]
+    unused = [name for name in roles.measured if sensors.noise.get(name, 0.0) > 0.0 or name in sensors.of_reading]
     if unused and not motion.smoothed:
         log.warn(
             f"the noise given of {some_of(unused, 30)} is not used: rows are taken as measured; use smooth='auto'",

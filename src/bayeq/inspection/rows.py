@@ -80,7 +80,7 @@ def sort_rows(record: Record, time: str | None = None) -> Experiments:
             rising = [name for name in record.names if name != counter and _rises(record[name])]
             time = min(rising, key=lambda name: _doubt(record, name), default=None)
         if time is not None:
-            clock, unit = in_seconds(record[time], record.units.get(time) or time_unit(time), time)
+            clock, unit, _ = in_seconds(record[time], record.units.get(time) or time_unit(time), time)
         elif (step := next((name for name in record.names if _is_step(record, name)), None)) is not None:
             clock = np.asarray(np.arange(record.n) * float(np.nanmax(record[step])), dtype=np.float64)
     backwards = clock is not None and record.n > 2 and bool((np.diff(clock) < 0.0).all())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -110,11 +109,6 @@ class Headers:
         """Headers of the columns with indices `rows`."""
         texts, names = ([column[i] for i in rows] for column in (self.texts, self.names))
         return Headers(texts, names, [self.units[i] for i in rows], self.where)
-
-    def stated_units(self) -> dict[str, str]:
-        """Units by name, for columns that have one; an empty unit where only the name suggests one."""
-        pairs = zip(self.names, self.units, strict=True)
-        return {name: unit or "" for name, unit in pairs if unit or unit_in_name(name)}
 
     def renamed(self, names: Names) -> Headers:
         """The same columns under the names that the caller gives, in order."""
@@ -326,13 +320,10 @@ def assemble(
     starts = [0] if group_column is None else trial_starts(data.values[group_column], n, _place(data, group_column))
     values = [x * gains[i] if gains.get(i, 1.0) != 1.0 else x for i, x in enumerate(data.values)]
     data = replace(data, values=values)
-    seconds, kept_units = _time(data, time_column, known_units)
-    begins = data.begins
+    seconds, kept_units, begins = _time(data, time_column, known_units)
     if seconds is not None:
         assert time_column is not None
         where_time = _place(data, time_column)
-        if begins is None and n:
-            begins = _clock(values[time_column], seconds)
         kept = np.arange(n)
         if group is None and _ends_in_a_summary(seconds):
             message = f"{where_time}: time goes back in row {n}, the last: it is left out; check the clock"
@@ -415,27 +406,16 @@ def _stated_step(data: Columns, fs: float | None) -> tuple[float | None, int | N
     return step, None
 
 
-def _time(data: Columns, column: int | None, units: Mapping[int, str | None]) -> tuple[Floats | None, dict[str, str]]:
-    """Time, in seconds if its unit can be converted, and its unit as ``{"t": unit}``, empty if unknown."""
+def _time(
+    data: Columns, column: int | None, units: Mapping[int, str | None]
+) -> tuple[Floats | None, dict[str, str], float | None]:
+    """Time, in seconds if its unit can be converted, its unit as ``{"t": unit}``, empty if unknown, and `begins`."""
     if column is None:
-        return None, {}
-    seconds, unit = data.values[column], units[column] or time_unit(data.names[column])
-    seconds, unit = in_seconds(seconds, unit, data.names[column])
-    others = [name for i, name in enumerate(data.names) if i != column]
-    return seconds, {"t": unit} if unit and "t" not in others else {}
-
-
-# 1970-01-01 in Excel's numbers of days.
-EXCEL_1970 = 25_569.0
-
-
-def _clock(raw: Floats, seconds: Floats) -> float | None:
-    """The first date [s since 1970] that was subtracted from times given as numbers of dates; None for other times."""
-    if len(raw) < 2 or seconds[0] != 0.0 or raw[0] == 0.0:
-        return None
-    factor = (seconds[1] - seconds[0]) / (raw[1] - raw[0])
-    unit = min(SECONDS.values(), key=lambda one: abs(math.log(one / factor)))
-    return float((raw[0] - (EXCEL_1970 if unit == SECONDS["d"] else 0.0)) * unit)
+        return None, {}, data.begins
+    name = data.names[column]
+    seconds, unit, begins = in_seconds(data.values[column], units[column] or time_unit(name), name)
+    units_of_time = {"t": unit} if unit and (name == "t" or "t" not in data.names) else {}
+    return seconds, units_of_time, begins if data.begins is None else data.begins
 
 
 def _place(data: Columns, column: int) -> str:

@@ -211,26 +211,23 @@ def _kinematics(record: Record, chain: Sequence[str | None], inputs: Sequence[st
     frames = uniform_frames(record.time) if len(measured) > 1 else None
     if frames is None:
         return []
-    found: list[Finding] = []
     links: list[Relation] = []
     for (low, p), (high, q) in pairwise(measured):
-        if not (np.ptp(record[p]) > 0.0 and np.ptp(record[q]) > 0.0):
-            return found
-        link = relate(record[p], record[q], high - low, frames)
+        moves = np.ptp(record[p]) > 0.0 and np.ptp(record[q]) > 0.0
+        link = relate(record[p], record[q], high - low, frames) if moves else None
         if link is None:
-            return found
-        found += _exchanged(record, p, q, high - low, link, frames)
-        if found:
-            return found
+            return []
+        exchanged = list(_exchanged(record, p, q, high - low, link, frames))
+        if exchanged:
+            return exchanged
         if link.fit < RECORDS.least_fit:
             message = (
                 f"{q} moves with {derivative_name(p, high - low)} but is not it, {100 * link.fit:.0f} % fit;"
                 " check which channel is which"
             )
-            return [*found, Finding("inconsistent", (q, p), message, link.fit)]
+            return [Finding("inconsistent", (q, p), message, link.fit)]
         links.append(link)
-    found += _signs(record, measured, links, frames.dt, inputs)
-    found += _gains(record, measured, links)
+    found = [*_signs(record, measured, links, frames.dt, inputs), *_gains(record, measured, links)]
     found += _delays(measured, links, frames.dt)
     for ((low, p), (high, q)), link in zip(pairwise(measured), links, strict=True):
         found += _shifts(record, p, q, high - low, link, frames)

@@ -363,7 +363,8 @@ def _from_mapping(source: Mapping[Any, Any], t: Any) -> Record:
     if t is None or isinstance(t, str):
         return Record(**assemble(data, Request(time=t), name="")[0])
     channels = dict(zip(data.names, data.values, strict=True))
-    return Record.from_arrays(channels, time=np.asarray(t), units=data.headers.stated_units())
+    units = {name: unit or "" for name, unit in zip(data.names, data.headers.units, strict=True)}
+    return Record.from_arrays(channels, time=np.asarray(t), units=units)
 
 
 def _from_data(source: Any, t: Any) -> Record:

@@ -13,8 +13,8 @@ import numpy as np
 from bayeq.arrays import Floats
 from bayeq.errors import RecordError, UnknownNameError, require_kind
 from bayeq.records import validate
-from bayeq.records.columns import Columns, Headers, Request, assemble
-from bayeq.records.names import conversion, unit_of_clock
+from bayeq.records.columns import Columns, Request, assemble
+from bayeq.records.names import conversion, unit_in_name, unit_of_clock
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -259,17 +259,15 @@ class Record:
         """The name, in messages; "record" where there is none."""
         return self.name or "record"
 
-    def to_columns(self) -> Columns:
-        """The columns by which the record is written: time first, then the channels."""
-        names, values = list(self.channels), list(self.channels.values())
-        units = [self.units.get(name) for name in names]
+    def to_columns(self) -> tuple[dict[str, Floats], dict[str, str]]:
+        """Columns as they are written, time first, and units; empty units where only the name of a column has one."""
+        columns = dict(self.channels)
         if self.time is not None:
-            name = next((name for name in ("t", "time", "Time", "timestamp") if name not in self.channels), None)
+            name = next((name for name in ("t", "time", "Time", "timestamp") if name not in columns), None)
             if name is None:
                 raise RecordError(f"{self.label}: no name is left for time; rename the channel 't'")
-            names, values = [name, *names], [self.time, *values]
-            units = [self.units.get("t") if name == "t" else None, *units]
-        return Columns(Headers(names, names, units, self.name), values)
+            columns = {name: self.time, **columns}
+        return columns, {name: self.units.get(name, "") for name in columns if name in self.units or unit_in_name(name)}
 
     @property
     def n(self) -> int:
@@ -448,8 +446,7 @@ class Record:
         """A pandas data frame of the channels; the column ``t`` comes first if there is time."""
         import pandas as pd
 
-        columns = self.to_columns()
-        return pd.DataFrame(dict(zip(columns.names, columns.values, strict=True)))
+        return pd.DataFrame(self.to_columns()[0])
 
     def _repr_html_(self) -> str:
         from bayeq.markup import join, paragraph, table

@@ -351,10 +351,6 @@ def _by_clock_of(first: Record, other: Record) -> Record:
     return replace(other, time=time + (other.begins - first.begins))
 
 
-def _label(record: Record) -> str:
-    return record.label
-
-
 def _time(record: Record) -> Floats:
     require_kind(record, Record, "each of what is joined", "a Record")
     if record.time is None or record.n < 4:

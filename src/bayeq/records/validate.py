@@ -229,34 +229,38 @@ def other_step(values: Floats, unit: str, fs: float) -> float | None:
 # Maximum step over midnight, in median steps.
 _MOST_AT_MIDNIGHT = 10.0
 
-# Excel's day numbers of the years 2000 to 2099, and words in the names of columns with dates.
+# Excel's day numbers of 1970-01-01 and of the years 2000 to 2099, and words in the names of columns with dates.
+EXCEL_1970 = 25_569.0
 _DAYS = (36526.0, 73051.0)
 _DATE_WORDS = ("date", "datum", "stamp", "stempel")
 
 
-def in_seconds(time: Floats, unit: str | None, name: str) -> tuple[Floats, str | None]:
-    """Time and its unit: in seconds ("s") if the unit is known; dates are counted from the first row.
+def in_seconds(time: Floats, unit: str | None, name: str) -> tuple[Floats, str | None, float | None]:
+    """Time, in seconds if the unit is known, and its unit; dates count from the first one, the third result [s].
 
     Seconds since 1970 (or ms, us, ns) within the years 2001 to 2096 are dates, and so are Excel's day numbers in a
     column named like a date, unless the steps have few decimals, as those of seconds since midnight have.
     """
+    begins = None
     if len(time) > 1:
         for own, factor in (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
             if unit in (None, own) and np.all((time > 1e9 * factor) & (time < 4e9 * factor)):
+                begins = float(time[0] * SECONDS[own])
                 time, unit = time - time[0], own
                 break
         dated = unit is None and any(word in name.casefold() for word in _DATE_WORDS)
         if dated and np.all((time > _DAYS[0]) & (time < _DAYS[1])):
             step = float(np.median(np.diff(time)))
             if abs(step - round(step, 5)) > 1e-3 * step:
+                begins = float((time[0] - EXCEL_1970) * SECONDS["d"])
                 time, unit = time - time[0], "d"
     if unit in (None, "s"):
         time = _beyond_midnight(time)
     if unit is None or unit not in SECONDS:
-        return time, unit
+        return time, unit, begins
     factor = SECONDS[unit]
     # Dividing by 1000 rounds once; multiplying by 0.001, itself rounded, would round twice.
-    return time * factor if factor >= 1 else time / round(1 / factor), "s"
+    return time * factor if factor >= 1 else time / round(1 / factor), "s", begins
 
 
 def _beyond_midnight(time: Floats) -> Floats:

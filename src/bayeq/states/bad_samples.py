@@ -292,8 +292,8 @@ def _blows(values: Floats) -> Bools:
     """Rows in which a channel is far from its values `ANSWER` + 1 rows before and after."""
     apart = np.abs(values[ANSWER + 1 :] - values[: -ANSWER - 1])
     usual = float(np.nanquantile(apart, BLOW_SHARE))
-    filled = np.concatenate([np.full(ANSWER + 1, np.inf), apart])
-    before, after = filled, np.append(filled[ANSWER + 1 :], np.full(ANSWER + 1, np.inf))
+    before = np.pad(apart, (ANSWER + 1, 0), constant_values=np.inf)
+    after = np.pad(apart, (0, ANSWER + 1), constant_values=np.inf)
     with np.errstate(invalid="ignore"):
         return np.fmin(before, after) > BLOW * usual
 

@@ -32,14 +32,10 @@ LONGEST_STEP = 1e20
 def derive_states(record: Record, chains: Sequence[Chain], inputs: Sequence[str] = ()) -> dict[str, Floats]:
     """States, targets and inputs of a record by name, each (n,).
 
-    Raises an UnknownNameError for a channel that is missing; a ChainError for one that plays two parts; a RecordError
-    for samples that are not finite, no time where derivatives are needed, or too few rows.
+    Raises an UnknownNameError for a channel that is missing; a ChainError for one that is named like a derivative; a
+    RecordError for samples that are not finite, no time where derivatives are needed, or too few rows.
     """
-    measured = [m for chain in chains for m in chain.measured if m is not None]
-    wanted = [*measured, *inputs]
-    for name in inputs:
-        if name in measured:
-            raise ChainError(f"channel {name!r} is both an input and part of a chain")
+    wanted = [*(m for chain in chains for m in chain.measured if m is not None), *inputs]
     require_usable(record, wanted)
     columns = {name: record[name] for name in wanted}
     for chain in chains:

@@ -367,8 +367,7 @@ def measured_apart(
                 f" {source} again (smooth='none': taken as it is)"
             )
             measured = tuple(None if k in computed else name for k, name in enumerate(chain.measured))
-            called = tuple(name if k in computed else chain.own_name(k) for k, name in enumerate(chain.measured))
-            chain = Chain(measured, tuple(None if m else c for m, c in zip(measured, called, strict=True)))
+            chain = Chain(measured, tuple(None if m else chain.own_name(k) for k, m in enumerate(measured)))
         out.append(chain)
     return tuple(out), messages
 

@@ -189,18 +189,13 @@ def on_grid(record: Record, names: Sequence[str]) -> Record:
     if record.time is None or record.n < 3:
         return record
     time = np.asarray(record.time)
-    index, start, step = fitted_grid(time)
+    index, start, step, off = fitted_grid(time)
     n = int(index[-1]) + 1
-    if not (np.diff(index) > 0).all() or record.n < (1.0 - MOST_MISSING) * n:
-        return record
-    off = float(np.abs(time - start - step * index).max())
-    if off > RECORDS.jitter * step and not _is_rounding(time, off, step):
+    if record.n < (1.0 - MOST_MISSING) * n or (off > RECORDS.jitter * step and not _is_rounding(time, off, step)):
         return record
     if record.n == n and is_step(time, float(time[-1] - time[0]) / (n - 1), 0.0).all():
         return record
     grid = start + step * np.arange(n, dtype=np.float64)
-    if n == record.n:
-        return Record(record.channels, grid, record.units, record.name, record.truth)
     channels = {}
     for name in names:
         channels[name] = np.full(n, np.nan)
@@ -248,8 +243,9 @@ def filled_in(time: Floats, samples: Floats) -> Floats:
     return np.where(np.isnan(samples), values, samples)
 
 
-def fitted_grid(time: Floats) -> tuple[Ints, float, float]:
-    """Number of each sample on an even grid that begins with the first; start and step of the grid."""
+def fitted_grid(time: Floats) -> tuple[Ints, float, float, float]:
+    """Number of each sample on an even grid that begins with the first; start and step of the grid, and what the times
+    are off it by at most; infinite where samples share a number."""
     steps = np.diff(time)
     median = float(np.median(steps))
     single = steps[(steps > SINGLE[0] * median) & (steps < SINGLE[1] * median)]
@@ -258,7 +254,9 @@ def fitted_grid(time: Floats) -> tuple[Ints, float, float]:
     start, step = _fitted(time, index)
     again = np.round((time - start) / step).astype(np.int64)
     index = again - again[0]
-    return index, *_fitted(time, index)
+    start, step = _fitted(time, index)
+    off = float(np.abs(time - start - step * index).max()) if (np.diff(index) > 0).all() else np.inf
+    return index, start, step, off
 
 
 def _fitted(time: Floats, index: Ints) -> tuple[float, float]:
@@ -306,9 +304,8 @@ def in_samples(record: Record, roles: Roles) -> Record:
     """
     time = np.arange(record.n, dtype=np.float64)
     if record.time is not None and record.n > 2:
-        index, start, step = fitted_grid(np.asarray(record.time))
-        off = np.abs(np.asarray(record.time) - start - step * index).max()
-        if not (np.diff(index) > 0).all() or off > OFF_GRID * step:
+        index, _, step, off = fitted_grid(np.asarray(record.time))
+        if off > OFF_GRID * step:
             raise RecordError(
                 f"{record.label}: steps of time are uneven, and a map goes from sample to sample: resample"
                 " evenly, or leave time out"

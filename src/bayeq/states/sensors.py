@@ -85,10 +85,6 @@ class Sensors:
         """The estimated factor of a channel in `gain_sd`; without an estimate its prior."""
         return self.gains.get(name, Gain(1.0, self.gain_sd[name], self.gain_sd[name]))
 
-    def noisy(self, name: str) -> bool:
-        """Whether noise other than zero was given for a channel."""
-        return self.noise.get(name, 0.0) > 0.0 or name in self.of_reading
-
 
 def check_sensors(
     noise: Mapping[str, float | str],
@@ -193,11 +189,8 @@ def scaled_with(chains: Sequence[Chain], channel: str) -> tuple[str, ...]:
     for chain in chains:
         present = [k for k, name in enumerate(chain.measured) if name is not None]
         for k, name in enumerate(chain.names):
-            if k in present:
-                continue
-            lower = [i for i in present if i < k]
-            source = lower[-1] if lower else present[0]
-            if chain.measured[source] == channel:
+            source = max((i for i in present if i < k), default=present[0])
+            if k not in present and chain.measured[source] == channel:
                 out.append(name)
     return tuple(out)
 

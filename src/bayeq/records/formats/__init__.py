@@ -14,7 +14,7 @@ from pathlib import Path
 from bayeq.errors import FileFormatError
 from bayeq.plugins import Table
 from bayeq.records.formats import excel, gz, hdf5, lvm, matlab, npy, npz, parquet, tdms, text, uff, wav
-from bayeq.records.formats.layout import looks_like_text
+from bayeq.records.formats.layout import encodings
 from bayeq.records.formats.protocol import FileRows, Flat, Nested, Writer
 
 __all__ = ["FORMATS", "Format", "format_of", "suffixes", "writers"]
@@ -130,7 +130,7 @@ def format_of(path: Path) -> Format:
         if row.holds(path, head):
             return row
     known = {suffix: row for row in FORMATS for suffix in row.suffixes}.get(path.suffix.lower())
-    is_text = looks_like_text(path)
+    is_text = bool(encodings(path))
     if known is not None and is_text and (known.nested in _OF_TEXT or known is TEXT):
         return known
     for row in ADDED.load().values():

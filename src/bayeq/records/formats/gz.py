@@ -11,7 +11,7 @@ from pathlib import Path
 from bayeq.errors import FileFormatError
 from bayeq.records.columns import Columns, Names, Select
 from bayeq.records.formats import text
-from bayeq.records.formats.layout import looks_like_text
+from bayeq.records.formats.layout import encodings
 from bayeq.records.formats.protocol import check_claim, reading
 from bayeq.records.record import Record
 
@@ -34,7 +34,7 @@ def read_columns(
         try:
             return text.read_columns(plain, names=names, chosen=chosen, where=where, skip=skip, enough=enough)
         except FileFormatError as error:
-            if not looks_like_text(plain):
+            if not encodings(plain):
                 raise FileFormatError(f"{where}: what it holds is not text; unpack it first") from error
             raise
 

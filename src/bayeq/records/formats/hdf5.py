@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import mmap
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -244,11 +244,10 @@ def _ends(content: mmap.mmap, start: int) -> bool:
 
 def write(record: Record, path: Path) -> None:
     """Write a record as HDF5: one dataset for each channel, its unit as the attribute ``unit``."""
-    columns = record.to_columns()
+    columns, units = record.to_columns()
     with _h5py().File(path, "w", track_order=True) as file:
         file.attrs[_MARK] = 1
-        units = columns.headers.stated_units()
-        for name, values in zip(columns.names, columns.values, strict=True):
+        for name, values in columns.items():
             dataset = file.create_dataset(name, data=values)
             if name in units:
                 dataset.attrs["unit"] = units[name]
@@ -259,7 +258,7 @@ class Hdf5Rows(FileRows):
 
     @cached_property
     def bounds(self) -> tuple[int, ...]:
-        lengths = [replace(one, values=_length(one)) for one in channels(self.path)]
+        lengths = [replace(one, values=np.array([one.size]).__getitem__) for one in channels(self.path)]
         pieces = read_pieces(lengths, str(self.path), self.request)
         if len(pieces) > 1:
             raise FileFormatError(f"{self.path}: [*] stands for several records; name one of them to stream it")
@@ -268,7 +267,3 @@ class Hdf5Rows(FileRows):
     def read(self, start: int, stop: int, request: Request) -> Columns:
         ((_, data),) = read_pieces(channels(self.path), str(self.path), request, rows=slice(start, stop))
         return data
-
-
-def _length(channel: Channel) -> Callable[[slice], Any]:
-    return lambda rows: np.array([channel.size])

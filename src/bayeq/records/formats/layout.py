@@ -60,7 +60,7 @@ class Layout(NamedTuple):
 
 
 def encodings(path: Path) -> tuple[str, ...]:
-    """The encodings to try, in order; none if the file is not text."""
+    """The encodings to try, in order; none if the file begins with bytes that text does not have."""
     with path.open("rb") as file:
         raw = file.read(_SAMPLE_BYTES)
     if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
@@ -78,11 +78,6 @@ def decoded(path: Path, where: str, read: Callable[[str], T]) -> T:
         except UnicodeError:  # also a UTF-16 file that ends within a character
             continue
     raise FileFormatError(f"{where}: not a text file")
-
-
-def looks_like_text(path: Path) -> bool:
-    """Whether the beginning of a file is free of bytes that text does not have."""
-    return bool(encodings(path))
 
 
 def _sample(path: Path, encoding: str, where: str, skip: int) -> tuple[list[tuple[int, str]], list[str]]:
@@ -121,8 +116,10 @@ def sniff(path: Path, encoding: str, where: str = "", skip: int = 0) -> Layout:
             raise FileFormatError(f"{where}: no rows")
     rows = [line for _, line in lines]
     table = None if asked else find_table(rows)
+    step = None
     if table is not None:
-        delimiter, header, first, line = table.delimiter, table.header, table.start, lines[table.start - 1][0]
+        first, delimiter, header, step = table
+        line = lines[first - 1][0]
     else:
         delimiter = asked[1] if asked else delimiter_of(rows[1:] or rows)
         header, first = _header(rows, delimiter, where)
@@ -142,7 +139,7 @@ def sniff(path: Path, encoding: str, where: str = "", skip: int = 0) -> Layout:
     comma = (quoted or delimiter in (";", "\t", "|")) and not any(
         "." in cell for row in data for i, cell in enumerate(split(row, delimiter)) if i not in stamps
     )
-    step = table.step if table is not None and table.step is not None else stated_step(comments)
+    step = stated_step(comments) if step is None else step
     comment = comments[-1] if comments else ""
     return Layout(encoding, delimiter, header, comment, lines[first][0] - 1, width, comma, stamps, step)
 
@@ -194,13 +191,8 @@ def comment_header(layout: Layout) -> list[list[str]]:
 # --- above the table -------------------------------------------------------------------------------------------------
 
 
-class Table(NamedTuple):
-    """First line of a table, its delimiter, and the header and time step [s] from the lines above it."""
-
-    start: int
-    delimiter: str | None
-    header: list[str] | None
-    step: float | None
+# First line of a table, its delimiter, and the header and time step [s] from the lines above it.
+Table = tuple[int, str | None, list[str] | None, float | None]
 
 
 def find_table(rows: Sequence[str]) -> Table | None:
@@ -235,7 +227,7 @@ def find_table(rows: Sequence[str]) -> Table | None:
     names = _names(head)
     if names is not None:
         names = _with_stated_units(names, above, rows[:start])
-    return Table(start, delimiter, names, stated_step(rows[:start]))
+    return start, delimiter, names, stated_step(rows[:start])
 
 
 def _is_data(row: str, delimiter: str | None, width: int) -> bool:
@@ -310,7 +302,7 @@ def _rigol(rows: Sequence[str], start: int, delimiter: str | None) -> Table | No
     units = ["" if is_number(cell) else unit_cell(cell) or "" for cell in below[: len(names)]]
     width = len(split(rows[start], delimiter))
     header = with_units(names, units)[:width]
-    return Table(start, delimiter, [*header, *[""] * (width - len(header))], step)
+    return start, delimiter, [*header, *[""] * (width - len(header))], step
 
 
 def stated_step(lines: Sequence[str]) -> float | None:

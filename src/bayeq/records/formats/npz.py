@@ -47,9 +47,9 @@ def read_columns(path: Path, *, names: Names = None, chosen: Select | None = Non
 
 def write(record: Record, path: Path) -> None:
     """Write a record as an archive; the same record gives the same bytes."""
-    columns = record.to_columns()
-    members: dict[str, AnyArray] = dict(zip(columns.names, columns.values, strict=True))
-    if units := columns.headers.stated_units():
+    columns, units = record.to_columns()
+    members: dict[str, AnyArray] = {**columns}
+    if units:
         members[_UNITS] = np.array(json.dumps(units))
     # numpy.savez stamps the time of day on every member, and has no room for a channel named "file".
     with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as archive:

@@ -58,9 +58,9 @@ def values_of(pa: Any, column: Any) -> Any:
 
 def write(record: Record, path: Path) -> None:
     pa, pq = library()
-    columns = record.to_columns()
-    table = pa.table(dict(zip(columns.names, columns.values, strict=True)))
-    if units := columns.headers.stated_units():
+    columns, units = record.to_columns()
+    table = pa.table(columns)
+    if units:
         table = table.replace_schema_metadata({_UNITS: json.dumps(units).encode()})
     pq.write_table(table, path)
 

@@ -268,14 +268,13 @@ class _Lines:
 
 def write(record: Record, path: Path) -> None:
     """Write a record as text: a header such as ``t,x [m],v``, and numbers that read back bit by bit."""
-    columns = record.to_columns()
+    columns, units = record.to_columns()
     mark = "\t" if path.suffix.lower() == ".tsv" else ","
-    units = columns.headers.stated_units()
-    headers = [f"{name} [{units[name]}]" if name in units else name for name in columns.names]
+    headers = [f"{name} [{units[name]}]" if name in units else name for name in columns]
     with path.open("w", encoding="utf-8", newline="") as file:
         csv.writer(file, delimiter=mark, lineterminator="\n").writerow(headers)
         for start in range(0, record.n, _ROWS_AT_ONCE):
-            block = np.column_stack([values[start : start + _ROWS_AT_ONCE] for values in columns.values])
+            block = np.column_stack([values[start : start + _ROWS_AT_ONCE] for values in columns.values()])
             # repr is the shortest text that reads back as the same number.
             file.writelines(mark.join(map(repr, row)) + "\n" for row in block.tolist())
 
@@ -296,10 +295,6 @@ class TextRows(FileRows):
                 " in seconds, or a Parquet file"
             )
         return layout
-
-    @cached_property
-    def headers(self) -> Headers:
-        return _named(self.layout, str(self.path))[0]
 
     @cached_property
     def index(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -334,10 +329,11 @@ class TextRows(FileRows):
         with self.path.open("rb") as file:
             file.seek(places[first])
             text = file.read(places[last] - places[first])
-        columns = request.rows(self.headers)
+        headers, _ = _named(self.layout, str(self.path))
+        columns = request.rows(headers)
         values = self._parsed(text, columns, bounds[first], bounds[last])
         taken = slice(start - bounds[first], stop - bounds[first])
-        found = Columns.build(self.headers, lambda i: values[i][taken], lambda _: columns)
+        found = Columns.build(headers, lambda i: values[i][taken], lambda _: columns)
         return replace(found, step=self.layout.step)
 
     def _parsed(self, text: bytes, columns: list[int], start: int, stop: int) -> dict[int, Floats]:

@@ -170,13 +170,11 @@ def _known_noise(
     series: Sequence[ChainSeries], chain: Chain, gains: Floats, noise: Mapping[str, float]
 ) -> list[float | None]:
     """Standard deviation of each derivative's noise in units of the model; None where it is not known."""
-    out: list[float | None] = []
+    out: list[float | None] = [None] * len(chain.measured)
     for k, name in enumerate(chain.measured):
-        if name is None or name not in noise:
-            out.append(None)
-            continue
-        spread = float(np.nanstd(np.concatenate([np.asarray(s.channels[k]) for s in series])))
-        out.append(max(noise[name], LEAST_SHARE * spread) / abs(float(gains[k])))
+        if name is not None and name in noise:
+            spread = float(np.nanstd(np.concatenate([np.asarray(s.channels[k]) for s in series])))
+            out[k] = max(noise[name], LEAST_SHARE * spread) / abs(float(gains[k]))
     return out
 
 

@@ -129,14 +129,12 @@ def _require_noisy(series: Sequence[ChainSeries], k: int) -> None:
 
 def _pieces(series: ChainSeries) -> list[ChainSeries]:
     """The record without rows that have no sample, cut at long gaps, across which the state loses all digits."""
-    columns = [channel for channel in series.channels if channel is not None]
-    filled = np.flatnonzero(np.any(np.isfinite(columns), axis=0))
+    filled = np.flatnonzero(np.isfinite(series.samples).any(axis=1))
     if len(filled) < 2:
         return []
     steps = np.diff(series.times[filled])
     ends = np.flatnonzero(steps > LONG_GAP * np.median(steps)) + 1
-    parts = [part for part in np.split(filled, ends) if len(part) > 1]
-    return [series] if len(parts) == 1 and len(parts[0]) == series.n else [series.take(part) for part in parts]
+    return [series.take(part) for part in np.split(filled, ends) if len(part) > 1]
 
 
 def _stretches(rows: Sequence[Rows]) -> Sequence[Rows]:
