@@ -82,11 +82,7 @@ _Clock = tuple[Floats | None, float | None, bool]
 def _described(records: Sequence[Record], clocks: Sequence[_Clock], name: str) -> ChannelInfo:
     samples = np.concatenate([record[name] for record in records])
     known = np.isfinite(samples)
-    missing = int(len(samples) - np.count_nonzero(known))
-    values = samples if missing == 0 else samples[known]
-    if not len(values):
-        nan = float("nan")
-        return ChannelInfo(name, records[0].units.get(name, ""), missing, nan, nan, nan, nan, None, None, None)
+    values = samples[known] if known.any() else np.array([np.nan])
     least, greatest = float(values.min()), float(values.max())
     size = max(abs(least), abs(greatest)) or 1.0  # so that no square overflows
     scaled = values / size
@@ -96,11 +92,11 @@ def _described(records: Sequence[Record], clocks: Sequence[_Clock], name: str) -
     return ChannelInfo(
         name=name,
         unit=records[0].units.get(name, ""),
-        missing=missing,
+        missing=int(len(samples) - np.count_nonzero(known)),
         least=least,
         greatest=greatest,
         mean=float(scaled.mean()) * size,
-        sd=float(scaled.std()) * size if greatest > least else 0.0,
+        sd=0.0 if greatest == least else float(scaled.std()) * size,
         resolution=resolution,
         held=held,
         spectrum=spectrum(pieces, step) if step else None,

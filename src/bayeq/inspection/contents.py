@@ -440,8 +440,6 @@ def _read_in_python(reading: Reading) -> str:
     read = [f"bq.read({', '.join([repr(file), *options])})" for file in reading.files]
     take = "" if reading.rows is None else f".take(slice({reading.rows.start}, {reading.rows.stop}))"
     if reading.group is not None:  # each is a list of trials
-        records = " + ".join(f"[record{take} for record in {one}]" if take else one for one in read)
-    else:
-        read = [one + take for one in read]
-        records = read[0] if len(read) == 1 else f"[{', '.join(read)}]"
-    return records
+        return " + ".join(f"[record{take} for record in {one}]" if take else one for one in read)
+    read = [one + take for one in read]
+    return read[0] if len(read) == 1 else f"[{', '.join(read)}]"

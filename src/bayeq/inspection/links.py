@@ -18,7 +18,7 @@ from bayeq.arrays import Floats
 from bayeq.inspection.channels import ChannelInfo
 from bayeq.records import Record
 from bayeq.records.consistency import Frames, Relation, derivative_name, relate, uniform_frames
-from bayeq.records.findings import stated_gain
+from bayeq.records.names import stated_gain
 from bayeq.records.record import with_samples
 
 # Channels are compared on at most ROWS rows in the middle. Longer records are first averaged over blocks, at least
@@ -136,7 +136,7 @@ def find_links(record: Record, names: Sequence[str]) -> list[Link]:
         if rates[q] < NOT_SLOWER * rates[p]:
             continue
         for order in (1, 2):
-            expected = stated_gain(record, p, q, order)
+            expected = stated_gain(record.units, p, q, order)
             if expected is None and p in record.units and q in record.units:  # no units of a motion and this derivative
                 continue
             relation = relate(record[p], record[q], order, frames)
@@ -167,7 +167,7 @@ def absolute(
                 continue
             alone = [relate(record[p], record[one], 2, frames) for one in (q, base)]
             both = relate(record[p], record[q] - record[base], 2, frames)
-            expected = stated_gain(record, p, q, 2)
+            expected = stated_gain(record.units, p, q, 2)
             left = [1.0 - one.fit for one in alone if one is not None]
             if both is None or both.sign < 0 or abs(both.delay) > MOST_DELAY * frames.dt:
                 continue

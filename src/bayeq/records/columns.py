@@ -79,12 +79,11 @@ class Headers:
 
     def find(self, key: str) -> int:
         """Index of the column called `key`: its cleaned name, its original header, or the header without its unit."""
-        for keys, asked in ((self.names, key), (self.texts, key.strip()), (self.names, clean_name(key)[0])):
+        as_path = key.strip().strip("/").replace("/", ".")  # as HDF5 writes paths
+        places = ((self.names, key), (self.texts, key.strip()), (self.names, clean_name(key)[0]), (self.texts, as_path))
+        for keys, asked in places:
             if asked in keys:
                 return keys.index(asked)
-        as_path = key.strip().strip("/").replace("/", ".")  # as HDF5 writes paths
-        if as_path in self.texts:
-            return self.texts.index(as_path)
         raise UnknownNameError("column", key, self.names, self.where)
 
     def clashes(self, rows: Sequence[int]) -> list[str]:

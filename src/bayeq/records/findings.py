@@ -20,7 +20,7 @@ from bayeq.errors import in_digits
 from bayeq.numerics.distributions import t_quantile
 from bayeq.numerics.settings import RECORDS
 from bayeq.records.consistency import Frames, Relation, derivative_name, goes_with, relate, shift_of, uniform_frames
-from bayeq.records.names import derivative_ratio, in_si, parse_unit
+from bayeq.records.names import in_si, parse_unit, stated_gain
 from bayeq.records.record import Record
 from bayeq.records.repair import counts_rows
 from bayeq.records.validate import even_times
@@ -236,7 +236,7 @@ def _kinematics(record: Record, chain: Sequence[str | None], inputs: Sequence[st
 
 def _exchanged(record: Record, p: str, q: str, order: int, link: Relation, frames: Frames) -> Iterator[Finding]:
     """A finding if p fits as the derivative of q, with their units exchanged, and q does not fit as that of p."""
-    stated = stated_gain(record, p, q, order) or 1.0
+    stated = stated_gain(record.units, p, q, order) or 1.0
     as_said = link.fit >= RECORDS.least_fit and abs(math.log(link.gain / stated)) < EXCHANGED
     if as_said or counts_rows(record):
         return
@@ -306,7 +306,7 @@ def _signs(
 
 def _gains(record: Record, measured: Sequence[tuple[int, str]], links: Sequence[Relation]) -> Iterator[Finding]:
     # gains implied by the units: with x in mm, v in m/s is a thousandth of dx/dt
-    stated = [stated_gain(record, p, q, high - low) or 1.0 for (low, p), (high, q) in pairwise(measured)]
+    stated = [stated_gain(record.units, p, q, high - low) or 1.0 for (low, p), (high, q) in pairwise(measured)]
     if counts_rows(record):
         (low, p), (high, q) = measured[:2]
         rate = (links[0].gain / stated[0]) ** (1.0 / (high - low))
@@ -340,12 +340,6 @@ def _undecided(link: Relation) -> float:
     return RECORDS.significant * link.gain_error + 0.5 * math.log(link.most_gain / link.least_gain)
 
 
-def stated_gain(record: Record, p: str, q: str, order: int) -> float | None:
-    """The gain of q relative to the derivative of p that their units imply; None if a unit is unknown."""
-    units = record.units
-    return derivative_ratio(units[p], units[q], order) if p in units and q in units else None
-
-
 def _delays(measured: Sequence[tuple[int, str]], links: Sequence[Relation], dt: float) -> Iterator[Finding]:
     steps, errors = [link.delay for link in links], [RECORDS.significant * link.delay_error for link in links]
     for odd in _odd_ones(measured, steps, errors, RECORDS.least_delay * dt):
@@ -360,7 +354,7 @@ def _delays(measured: Sequence[tuple[int, str]], links: Sequence[Relation], dt: 
 
 def _shifts(record: Record, p: str, q: str, order: int, link: Relation, frames: Frames) -> Iterator[Finding]:
     """Offset and drift of q against the derivative of p, with the stated gain if the measured one agrees with it."""
-    stated = stated_gain(record, p, q, order) or 1.0
+    stated = stated_gain(record.units, p, q, order) or 1.0
     if abs(math.log(link.gain / stated)) <= max(math.log(RECORDS.least_gain), _undecided(link)):
         gain, gain_error = stated, 0.0
     else:

@@ -323,6 +323,11 @@ def derivative_ratio(below: str, above: str, order: int) -> float | None:
     return None if found is None or found[1] else found[0]
 
 
+def stated_gain(units: Mapping[str, str], below: str, above: str, order: int) -> float | None:
+    """The `derivative_ratio` of two channels; None if a unit is unknown."""
+    return derivative_ratio(units[below], units[above], order) if below in units and above in units else None
+
+
 def in_si(unit: Unit) -> tuple[float, Unit] | None:
     """Factor to SI units, and the unit in N, m and s (angles are dimensionless); None with an unknown symbol."""
     size, out = 1.0, Unit()

@@ -377,9 +377,7 @@ def _without_lines(values: Floats, above: float) -> tuple[Floats, list[float]]:
     known, rows = np.isfinite(values), np.arange(len(values), dtype=np.float64)
     window, rest, lines = np.hanning(len(values) + 2)[1:-1], values, list[float]()
     while len(lines) < min(MOST_LINES, len(values) // ROWS_EACH):
-        whole = np.column_stack(
-            [np.interp(rows, rows[seen], own[seen]) for own, seen in zip(rest.T, known.T, strict=True)]
-        )
+        whole = np.column_stack([bridged(own) for own in rest.T])
         windowed = window[:, None] * (whole - whole.mean(axis=0))
         power = np.abs(np.fft.rfft(windowed, axis=0)) ** 2
         ratios = np.column_stack([_above_both_sides(own) for own in power.T])

@@ -17,7 +17,7 @@ from bayeq.arrays import Complexes, Floats
 from bayeq.errors import InputError, UnknownNameError, require_mapping
 from bayeq.numerics.settings import STATES
 from bayeq.records import Record
-from bayeq.records.names import derivative_ratio
+from bayeq.records.names import stated_gain
 from bayeq.records.validate import even_step
 from bayeq.states.roles import Chain, Roles
 
@@ -258,9 +258,8 @@ def of_no_unit(chain: Chain, gains: Sequence[float], units: Mapping[str, str]) -
     for place, (k, name) in enumerate(measured[1:], 1):
         found = []
         for j, below in measured[:place]:
-            both = below in units and name in units
-            stated = derivative_ratio(units[below], units[name], k - j) if both else None
-            found.append((below, abs(gains[k] / gains[j]) / (stated or 1.0)))
+            stated = stated_gain(units, below, name, k - j) or 1.0
+            found.append((below, abs(gains[k] / gains[j]) / stated))
         below, off = min(found, key=lambda one: abs(math.log(one[1])))
         if 1e-6 < abs(math.log(off)) < math.log(UNLIKE):
             return name, below, off
@@ -300,11 +299,9 @@ def unit_gains(
 
 def _stated(records: Sequence[Record], below: str, above: str, order: int) -> float | None:
     """The ratio of the stated units; None where a record states none, or they disagree."""
-    found = set()
-    for record in records:
-        both = below in record.units and above in record.units and record.units.get("t", "s") == "s"
-        found.add(derivative_ratio(record.units[below], record.units[above], order) if both else None)
-    return found.pop() if len(found) == 1 else None
+    clocks = {record.units.get("t", "s") for record in records}
+    found = {stated_gain(record.units, below, above, order) for record in records}
+    return found.pop() if len(found) == 1 and clocks == {"s"} else None
 
 
 class _Estimate(NamedTuple):

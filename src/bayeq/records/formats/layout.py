@@ -452,16 +452,17 @@ def unit_cell(cell: str) -> str | None:
 #: Whole seconds (since 1970 or midnight) and the fraction: differences keep every digit.
 Stamp = tuple[int, float]
 
-_DAY = (
-    r"(?:(?P<year>\d{4})[-/](?P<month>\d\d?)[-/](?P<day>\d\d?)|(?P<day2>\d\d?)\.(?P<month2>\d\d?)\.(?P<year2>\d{4})"
-    r"|(?P<month3>\d\d?)/(?P<day3>\d\d?)/(?P<year3>\d{4}))"
+_DAYS = (
+    r"(?P<year>\d{4})[-/](?P<month>\d\d?)[-/](?P<day>\d\d?)",
+    r"(?P<day>\d\d?)\.(?P<month>\d\d?)\.(?P<year>\d{4})",
+    r"(?P<month>\d\d?)/(?P<day>\d\d?)/(?P<year>\d{4})",
 )
 _CLOCK = (
     r"(?P<hour>\d\d?):(?P<minute>\d\d)(?::(?P<second>\d\d)(?:[.,](?P<rest>\d+))?)?"
     r"(?:\s*(?P<half>[AaPp])\.?[Mm]\.?)?"
 )
 _ZONE = r"(?:Z|(?P<sign>[+-])(?P<zh>\d\d):?(?P<zm>\d\d)?)?"
-_STAMP = re.compile(rf"(?:{_DAY}(?:[T ]\s*{_CLOCK}\s*{_ZONE})?)|(?:{_CLOCK.replace('?P<', '?P<c_')})")
+_STAMPS = (*(re.compile(rf"{day}(?:[T ]\s*{_CLOCK}\s*{_ZONE})?") for day in _DAYS), re.compile(_CLOCK))
 _FIRST = datetime(1970, 1, 1)
 
 
@@ -475,29 +476,27 @@ def parse_stamp(text: str, day_first: bool = False) -> Stamp | None:
     >>> parse_stamp("3/1/2024 1:00:00 PM") == parse_stamp("1/3/2024 13:00", day_first=True)
     True
     """
-    match = _STAMP.fullmatch(text.strip().strip("\"'"))
+    text = text.strip().strip("\"'")
+    match = next((match for pattern in _STAMPS if (match := pattern.fullmatch(text))), None)
     if match is None:
         return None
-    found = match.groupdict()
-    kind = next((kind for kind in ("", "2", "3") if found[f"year{kind}"]), None)
-    clock = "" if found["hour"] else "c_"
-    seconds = 0
-    try:
-        if kind is not None:
-            year, month, day = (int(found[f"{part}{kind}"]) for part in ("year", "month", "day"))
-            if kind == "3" and (day_first or month > 12):
-                month, day = day, month
+    found, seconds = match.groupdict(), 0
+    if "year" in found:
+        year, month, day = (int(found[part]) for part in ("year", "month", "day"))
+        if match.re is _STAMPS[2] and (day_first or month > 12):
+            month, day = day, month
+        try:
             seconds = (datetime(year, month, day) - _FIRST) // timedelta(seconds=1)
-    except ValueError:  # the 31st of February
-        return None
-    hour, minute, second = (int(found[f"{clock}{part}"] or 0) for part in ("hour", "minute", "second"))
+        except ValueError:  # the 31st of February
+            return None
+    hour, minute, second = (int(found[part] or 0) for part in ("hour", "minute", "second"))
     if minute > 59 or second > 60:
         return None
-    if half := found[f"{clock}half"]:
+    if half := found["half"]:
         hour = hour % 12 + 12 * (half in "Pp")
     seconds += 3600 * hour + 60 * minute + second
-    if found["sign"]:
+    if found.get("sign"):
         zone = 3600 * int(found["zh"]) + 60 * int(found["zm"] or 0)
         seconds -= zone if found["sign"] == "+" else -zone
-    rest = found[f"{clock}rest"]
+    rest = found["rest"]
     return seconds, float(f"0.{rest}") if rest else 0.0
