@@ -407,17 +407,15 @@ def _say_undecided(guess: Guess, clues: Mapping[str, Clue], notes: list[str], op
         those = some_of([str(name) for name in accelerations], 30) + (" are" if len(accelerations) > 1 else " is")
         how = " ".join(f"--remove-offset {shlex.quote(f'{name}={base}')}" for name in accelerations)
         notes.append(f"the law is of motion against the base: if {those} absolute, subtract {base} first: {how}")
-    second = len(guess.chains[0]) == 3 if guess.chains else False
+    second = bool(guess.chains) and len(guess.chains[0]) == 3
     for name in (name for name in guess.undecided if name in guess.reasons):
-        other = (
-            f"; as a coordinate: {options(*guess.chains, (name, None, None))}"
-            if second and clues[name].order == 0
-            else ""
-        )
+        other = ""
+        if second and clues[name].order == 0:
+            other = f"; as a coordinate: {options(*guess.chains, (name, None, None))}"
         notes.append(f"{name} is not used: it {guess.reasons[name]}{other}")
     open_ = [name for name in guess.undecided if name not in guess.reasons]
     if open_ and guess.chains:
-        place = {1: 1, 2: 2}.get(clues[open_[0]].order or 0, 0)
+        place = max(clues[open_[0]].order or 0, 0)
         own = tuple(open_[0] if k == place else None for k in range(3)) if second else (open_[0],)
         notes.append(
             f"not used: {some_of(open_, 30)}; an input: --input {shlex.quote(open_[0])};"

@@ -195,9 +195,8 @@ def _described(experiments: Experiments, name: str, reading: Reading) -> RecordI
     clues = {key: replace(clue, degrees=clue.degrees or key in turning) for key, clue in clues.items()}
     how = "turns to and fro by more than 2 pi: taken in degrees; of radians leave out --units"
     said = [f"{key} {how}" for key in turning]
-    said += (
-        [] if reading.files else [f"{key} is to be in the unit of the others: {one}" for key, one in one_unit.items()]
-    )
+    if not reading.files:
+        said += [f"{key} is to be in the unit of the others: {one}" for key, one in one_unit.items()]
     guess = replace(guess, questions=(*guess.questions, *said))
     for finding in checks:
         if finding.kind == "exchanged":
@@ -375,8 +374,7 @@ def _on_parts(found: RecordInfo) -> Iterator[str]:
     jumps = [gap.row + 1 for gap in found.gaps if gap.long]
     how, rows = ("time jumps before", jumps) if jumps else ("the motion begins again from rest at about", again)
     if rows:
-        listed = f"row{'s' * (len(rows) > 1)} {_listed(rows)}"
-        yield f"{how} {listed}: perhaps {len(rows) + 1} experiments (--rows, --group)"
+        yield f"{how} {_listed(rows)}: perhaps {len(rows) + 1} experiments (--rows, --group)"
 
 
 def _on_channels(found: RecordInfo) -> Iterator[str]:
@@ -399,14 +397,14 @@ def _on_channels(found: RecordInfo) -> Iterator[str]:
 
 
 def _listed(rows: Sequence[int]) -> str:
-    return ", ".join(map(str, rows[:LISTED])) + (", ..." if len(rows) > LISTED else "")
+    shown = ", ".join(map(str, rows[:LISTED])) + (", ..." if len(rows) > LISTED else "")
+    return f"row{'s' * (len(rows) > 1)} {shown}"
 
 
 def _on_bad_samples(found: RecordInfo) -> Iterator[str]:
     for name, kinds in found.bad.items():
         for kind, rows in kinds.items():
             what = {"spikes": "spike" if len(rows) == 1 else "spikes"}.get(kind, f"{kind} samples")
-            where = f"row{'s' * (len(rows) > 1)} {_listed(rows)}"
-            yield f"{name}: {len(rows)} {what}, {where}; discover leaves them out; {ADVICE[kind]}"
+            yield f"{name}: {len(rows)} {what}, {_listed(rows)}; discover leaves them out; {ADVICE[kind]}"
     if 0 < found.looked_at < found.rows:
         yield f"spikes and stuck samples were looked for in the most suspect {found.looked_at} of {found.rows} rows"

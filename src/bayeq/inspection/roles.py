@@ -322,12 +322,9 @@ def guess_roles(
             reasons[name] = f"moves as {nearest} does, which is nearer to the motion: they are one input"
             continue
         inputs.append(name)
-        like = [
-            "-" * (link.gain < 0.0) + link.stands_for
-            for link in links
-            if link.above == name and clues[link.below].order != REFERENCE
-        ]
-        reasons[name] = clues[name].why + "".join(f"; it moves as {motion} too" for motion in like[:1])
+        like = [link for link in links if link.above == name and clues[link.below].order != REFERENCE]
+        also = [f"; it moves as {'-' * (link.gain < 0.0)}{link.stands_for} too" for link in like[:1]]
+        reasons[name] = clues[name].why + "".join(also)
         questions += _exchanged(name, links, clues)
     rest = [name for name in names if name not in linked and name not in reasons]
     chains = _chains([_placed(run, clues) for run in runs], rest, clues, first, bool(alike), reasons)
@@ -335,11 +332,9 @@ def guess_roles(
         present = [(k, name) for k, name in enumerate(chain) if name is not None]
         for (k, low), above in zip(present, [*present[1:], None], strict=True):
             if low not in reasons:
-                why = (
-                    f"{above[1]} is its {'second ' * (above[0] - k == 2)}derivative"
-                    if above
-                    else "nothing else fits it"
-                )
+                why = "nothing else fits it"
+                if above is not None:
+                    why = f"{above[1]} is its {'second ' * (above[0] - k == 2)}derivative"
                 reasons[low] = clues[low].why or why
     if not inputs and chains and all(len(chain) == 3 and chain[0] and chain[2] for chain in chains):
         inputs = [n for n in of_order[0] if n not in reasons and clues[n].by_unit and all(n not in c for c in chains)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -207,14 +208,13 @@ LONG_RUN = 10
 
 def find_bad(records: Sequence[Record], guess: Guess, names: Sequence[str]) -> tuple[Bad, int]:
     """Bad samples of channels `names`, and the number of rows searched for anything but clipping."""
-    found: Bad = {}
+    found: Bad = defaultdict(lambda: defaultdict(list))
     total = sum(record.n for record in records)
     motion = {name for chain in guess.chains for name in chain}
     for name in names:
         values = np.concatenate([record[name] for record in records])
-        for clipping in clipped_levels(values[np.isfinite(values)], shut=name not in motion):
-            stays = (np.flatnonzero(values == clipping.level) + 1).tolist()
-            found.setdefault(name, {}).setdefault("clipped", []).extend(stays)
+        for clipping in clipped_levels(values, shut=name not in motion):
+            found[name]["clipped"] += (np.flatnonzero(values == clipping.level) + 1).tolist()
     timed = all(record.time is not None for record in records)
     # squares of larger values overflow, those of smaller ones underflow
     sizes = {name: max(float(np.nanmax(np.abs(r[name]), initial=0.0)) for r in records) for name in names}
@@ -231,8 +231,8 @@ def find_bad(records: Sequence[Record], guess: Guess, names: Sequence[str]) -> t
             for name, one in bad.items():
                 for kind, rows in one.items():
                     if kind != "clipped":  # clipping was searched in all rows
-                        place = found.setdefault(name, {}).setdefault(kind, [])
-                        found[name][kind] = sorted({*place, *(np.flatnonzero(rows) + first + a + 1).tolist()})
+                        of_file = (np.flatnonzero(rows) + first + a + 1).tolist()
+                        found[name][kind] = sorted({*found[name][kind], *of_file})
         first += record.n
     return _in_order(found, every), looked
 

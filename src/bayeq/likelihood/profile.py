@@ -155,4 +155,5 @@ def _node(now: tuple[Task, State], name: str, place: float) -> Node:
     volume = float(np.linalg.slogdet(task.marginal(fitted.state, keep=False).covariance)[1])
     constants = constants_of(task.layout.terms)
     others = {key: (to_scale(constants[key], constants[key].value), float(sds[k])) for key, k in first.items()}
-    return Node(name, place, fitted.evidence - 0.5 * volume, fitted.state.theta, covariance[:r, :r], others, (task, fitted.state))
+    state, value = fitted.state, fitted.evidence - 0.5 * volume
+    return Node(name, place, value, state.theta, covariance[:r, :r], others, (task, state))

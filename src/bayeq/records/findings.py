@@ -466,6 +466,9 @@ class Clipping(NamedTuple):
 
 def clipped_levels(values: Floats, shut: bool = False) -> list[Clipping]:
     """Extremes at which a channel is clipped; with `shut`, for an input such as a valve, not at 0."""
+    values = values[np.isfinite(values)]
+    if not len(values):
+        return []
     starts, lengths = equal_runs(values)
     at_extremes = np.isin(values[starts], (values.min(), values.max()))
     # true of most channels, and saves sorting them

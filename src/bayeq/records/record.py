@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from bayeq.arrays import Floats
+from bayeq.arrays import Bools, Floats
 from bayeq.errors import RecordError, UnknownNameError, require_kind
 from bayeq.records import validate
 from bayeq.records.columns import Columns, Request, assemble
@@ -484,6 +484,11 @@ def with_samples(record: Record, samples: Mapping[str, Any]) -> Record:
     if not samples:
         return record
     return record.with_channels(samples, {name: record.units[name] for name in samples if name in record.units})
+
+
+def without_samples(record: Record, masks: Mapping[str, Bools]) -> Record:
+    """The record with NaN in place of the samples of some channels in the mask of each, (n,)."""
+    return with_samples(record, {name: np.where(mask, np.nan, record[name]) for name, mask in masks.items()})
 
 
 def in_units(record: Record, wanted: Mapping[str, str]) -> tuple[Record, list[str], list[str]]:

@@ -20,7 +20,7 @@ from bayeq.errors import InputError, in_digits
 from bayeq.numerics.settings import STATES
 from bayeq.records import Record
 from bayeq.records.findings import clipped_levels, equal_runs
-from bayeq.records.record import with_samples
+from bayeq.records.record import without_samples
 from bayeq.states.kinematic.chain_smoother import series_of
 from bayeq.states.kinematic.fit import fit_kinematic
 from bayeq.states.kinematic.smoother import ChainSeries, KinematicModel, leave_one_out, one_sided, smooth_kinematic
@@ -131,11 +131,8 @@ def without_bad_samples(
     """The records with NaN in place of bad samples (`find_bad_samples`), and a message for each channel and kind."""
     out, messages = [], []
     for record, channels in zip(records, find_bad_samples(records, roles, learned), strict=True):
-        changed = {
-            name: np.where(np.any(list(kinds.values()), axis=0), np.nan, record[name])
-            for name, kinds in channels.items()
-        }
-        out.append(with_samples(record, changed))
+        bad_rows = {name: np.any(list(kinds.values()), axis=0) for name, kinds in channels.items()}
+        out.append(without_samples(record, bad_rows))
         where = f"{record.label}: " if len(records) > 1 else ""
         messages += [where + _message(name, kind, rows) for name, bad in channels.items() for kind, rows in bad.items()]
     return out, messages
@@ -146,12 +143,11 @@ def clipped_shares(records: Sequence[Record], roles: Roles) -> dict[str, float]:
 
     An actuator may have reached its limit, so that inputs are left out, and samples of a map jump.
     """
-    total, out = sum(record.n for record in records), {}
-    for name in () if roles.discrete else roles.measured:
-        known = [record[name][np.isfinite(record[name])] for record in records]
-        found = [one.samples for values in known if len(values) for one in clipped_levels(values)]
-        out[name] = sum(found) / total
-    return out
+    total = sum(record.n for record in records)
+    return {
+        name: sum(one.samples for record in records for one in clipped_levels(record[name])) / total
+        for name in (() if roles.discrete else roles.measured)
+    }
 
 
 def _message(name: str, kind: str, rows: Bools) -> str:
@@ -205,12 +201,8 @@ class _Group:
             gains = learned.gains[names]
         else:
             alone = {name: cls(records, (name,)).searched(learned).spikes for name in names if name is not None}
-            calm = [
-                with_samples(
-                    record, {name: np.where(own[i][:, 0], np.nan, record[name]) for name, own in alone.items()}
-                )
-                for i, record in enumerate(records)
-            ]
+            spikes = [{name: own[i][:, 0] for name, own in alone.items()} for i in range(len(records))]
+            calm = [without_samples(record, own) for record, own in zip(records, spikes, strict=True)]
             gains = learned.gains[names] = unit_gains(calm, chain)[chain.lowest :]
         return cls(records, names, gains)
 
@@ -393,19 +385,16 @@ def _judged(series: ChainSeries, model: KinematicModel, least: Floats) -> list[_
         spread = np.hypot(smoothed.sd[rows, k], noise[k])
         after[rows, k] = np.abs(samples[rows, k] - smoothed.mean[rows, k]) / spread
         after /= factor
-        going_on = []
+        going_on, free = [], present & ~trial
         for cause in causes:
             left = _left_over(cause, before, after)
             if left is not None and high[left] and len(cause) < MOST_TOGETHER:
                 going_on.append([*cause, left])
                 continue
-            spikes = [
-                at
-                for at in cause
-                if left is None
-                and _stands_out(at, cause, after)
-                and not _goes_on(at, samples, predicted, present & ~trial)
-            ]
+            spikes = []
+            if left is None:
+                sudden = [at for at in cause if _stands_out(at, cause, after)]
+                spikes = [at for at in sudden if not _goes_on(at, samples, predicted, free)]
             out.append(_Verdict(float(before[cause[0]]), cause[0][1], spikes))
         causes = going_on
         if not causes:
@@ -504,8 +493,7 @@ def _stuck(series: ChainSeries, runs: Bools, calm: ChainSeries, model: Kinematic
 def _clipped(series: ChainSeries, shut: bool) -> Bools:
     """Samples at the levels at which a channel is clipped."""
     out, samples = _nowhere(series), series.samples
-    for k in np.flatnonzero(np.isfinite(samples).any(axis=0)):
-        values = samples[:, k]
-        for found in clipped_levels(values[np.isfinite(values)], shut):
-            out[:, k] |= values == found.level
+    for k in series.measured:
+        for found in clipped_levels(samples[:, k], shut):
+            out[:, k] |= samples[:, k] == found.level
     return out

@@ -86,11 +86,9 @@ def hidden_columns(roles: Roles, columns: Mapping[str, Floats], time: Floats | N
     known = {**columns, TIME: np.asarray(time, dtype=np.float64)}
     drivers = sorted({name for law in laws for name in law.names} - set(states))
     samples = np.column_stack([known[name] for name in drivers]) if drivers else np.zeros((len(time), 0))
-    rates = [
-        rate
-        for chain, law in zip(roles.hidden, laws, strict=True)
-        for rate in (*(Expression(Symbol(name)) for name in chain.states[1:]), law)
-    ]
+    rates = list[Expression]()
+    for chain, law in zip(roles.hidden, laws, strict=True):
+        rates += [*(Expression(Symbol(name)) for name in chain.states[1:]), law]
     tape = Tape.compile(rates, [*states, *drivers])
     anywhere = np.full(len(states), np.inf)
     drive = Drive.over(time, interpolant(time, samples, "linear"), -anywhere, anywhere)

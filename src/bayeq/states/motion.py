@@ -311,12 +311,10 @@ def _rows(record: Record, roles: Roles, columns: Mapping[str, Floats]) -> Motion
                 " (time=, --time) or give the sampling rate (fs=, --fs)"
             )
         columns = {**columns, TIME: np.asarray(record.time, dtype=np.float64)}
-    observed = {
-        target: np.where(np.isnan(samples[target]), columns[target], samples[target])
-        if target in samples
-        else columns[target]
-        for target in roles.targets
-    }
+    observed = {}
+    for target in roles.targets:
+        own = samples.get(target, columns[target])
+        observed[target] = np.where(np.isnan(own), columns[target], own)
     return MotionRows(record.name, record.time, columns, observed, samples, has_all(record, roles))
 
 

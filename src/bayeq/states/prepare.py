@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from bayeq.expressions.parse import EARLIER
 from bayeq.numerics.settings import RECORDS, STATES
 from bayeq.records import Record, correct_delay
 from bayeq.records.findings import equal_runs
-from bayeq.records.record import with_only, with_samples
+from bayeq.records.record import with_only, with_samples, without_samples
 from bayeq.records.repair import SAMPLES, split_at_gaps
 from bayeq.records.validate import ROUNDED_BY, even_step, is_step
 from bayeq.states.bad_samples import Learned, listed, without_bad_samples
@@ -68,15 +69,15 @@ def without_impossible(records: Sequence[Record], names: Sequence[str]) -> tuple
     out, messages = [], []
     for record in records:
         where = f"{record.label}: " if len(records) > 1 else ""
-        changed = {}
+        impossible = {}
         for name in names:
             values = record[name]
             bad = np.abs(values) > LARGEST  # false for NaN
             if 0 < bad.sum() < 0.5 * np.isfinite(values).sum():
-                changed[name] = np.where(bad, np.nan, values)
+                impossible[name] = bad
                 what = f"infinite or beyond {LARGEST:g} ({listed(bad)}): taken as missing"
                 messages.append(f"{where}{name}: {_samples_are(bad)} {what}; check the acquisition")
-        out.append(with_samples(record, changed))
+        out.append(without_samples(record, impossible))
     return out, messages
 
 
@@ -200,8 +201,7 @@ def on_grid(record: Record, names: Sequence[str]) -> Record:
     for name in names:
         channels[name] = np.full(n, np.nan)
         channels[name][index] = record[name]
-    units = {name: unit for name, unit in record.units.items() if name in channels or name == "t"}
-    return Record(channels=channels, time=grid, units=units, name=record.name)
+    return replace(with_only(record, names), channels=channels, time=grid)
 
 
 def corrected(record: Record, sensors: Sensors, whole: bool = False) -> Record:

@@ -90,14 +90,14 @@ def _xls(path: Path) -> Iterator[Sheet]:
 
 
 def _xls_row(xlrd: Any, book: Any, cells: Iterable[Any]) -> list[Any]:
-    return [
-        xlrd.xldate_as_datetime(cell.value, book.datemode)
-        if cell.ctype == xlrd.XL_CELL_DATE
-        else None
-        if cell.ctype in (xlrd.XL_CELL_ERROR, xlrd.XL_CELL_EMPTY, xlrd.XL_CELL_BLANK)
-        else cell.value
-        for cell in cells
-    ]
+    row: list[Any] = []
+    for cell in cells:
+        if cell.ctype == xlrd.XL_CELL_DATE:
+            row.append(xlrd.xldate_as_datetime(cell.value, book.datemode))
+        else:
+            empty = cell.ctype in (xlrd.XL_CELL_ERROR, xlrd.XL_CELL_EMPTY, xlrd.XL_CELL_BLANK)
+            row.append(None if empty else cell.value)
+    return row
 
 
 def _write_text(rows: Iterable[Iterable[Any]], path: Path) -> int:
