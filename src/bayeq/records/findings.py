@@ -144,13 +144,12 @@ def check_record(
             found += _moved_off(record, chain[2])
         usable = [name if name and whole[name] else None for name in chain]
         found += _kinematics(record, usable, [name for name in inputs if whole[name]])
-    for name in dict.fromkeys((*names, *inputs)):
-        if whole[name] and record.n >= LEAST_ROWS_TO_CHECK:
-            clipped = list(_clipped(name, record[name], shut=name in inputs))
-            found += clipped or _repeated(name, record[name], shut=name in inputs)
-            found += () if name in inputs else _interpolated(record, name)
-    found += _again(record, [name for name in dict.fromkeys((*names, *inputs)) if whole[name]])
-    return found
+    complete = [name for name, one in whole.items() if one]
+    for name in complete if record.n >= LEAST_ROWS_TO_CHECK else ():
+        clipped = list(_clipped(name, record[name], shut=name in inputs))
+        found += clipped or _repeated(name, record[name], shut=name in inputs)
+        found += () if name in inputs else _interpolated(record, name)
+    return [*found, *_again(record, complete)]
 
 
 def check_messages(
@@ -399,9 +398,9 @@ def _dropped(record: Record, name: str) -> Iterator[Finding]:
     steps = np.diff(even_times(record.time))
     ratio = steps / np.median(steps)
     whole = np.round(ratio)
-    even = np.abs(ratio - whole) <= NEAR_MULTIPLE
-    gaps = even & (whole >= 2)
-    if not gaps.any() or not (even & (whole == 1)).sum() >= 0.5 * len(steps) or not even.all():
+    gaps = whole >= 2
+    even = bool((np.abs(ratio - whole) <= NEAR_MULTIPLE).all())
+    if not (even and gaps.any() and np.count_nonzero(whole == 1) >= 0.5 * len(steps)):
         return
     missing = int(whole[gaps].sum() - gaps.sum())
     first = int(np.flatnonzero(gaps)[0])

@@ -434,12 +434,9 @@ def _left_over(cause: Sequence[Place], before: Floats, after: Floats) -> Place |
 def _stands_out(at: Place, cause: Sequence[Place], after: Floats) -> bool:
     """Whether a sample of a cause errs by much more than those around it."""
     row, k = at
-    first = max(row - LOCAL, 0)
-    around = after[first : row + LOCAL + 1, k].copy()
-    for other, channel in cause:
-        if channel == k and first <= other < first + len(around):
-            around[other - first] = np.nan
-    usual = float(np.nanquantile(around, UPPER)) / UPPER_NORMAL
+    around = np.arange(max(row - LOCAL, 0), min(row + LOCAL + 1, len(after)))
+    others = np.setdiff1d(around, [other for other, channel in cause if channel == k])
+    usual = float(np.nanquantile(after[others, k], UPPER)) / UPPER_NORMAL
     return bool(after[at] > STATES.spike * max(1.0, usual))
 
 

@@ -13,7 +13,7 @@ from typing import Literal, cast, get_args
 import numpy as np
 
 from bayeq.arrays import Floats
-from bayeq.errors import ChainError, InputError, RecordError, UnknownNameError
+from bayeq.errors import ChainError, InputError, RecordError
 from bayeq.numerics.settings import STATES
 from bayeq.records import Record
 from bayeq.states.roles import Chain
@@ -131,11 +131,7 @@ def require_in_range(columns: Mapping[str, Floats], where: str) -> None:
 
 def require_usable(record: Record, names: Sequence[str]) -> None:
     """Raise unless a record has the channels, and their samples are finite and have squares."""
-    for name in names:
-        if name not in record.channels:
-            raise UnknownNameError("channel", name, record.names, where=record.name)
-    for name in names:
-        values = record[name]
+    for name, values in {name: record[name] for name in names}.items():
         if values.min() >= -LARGEST and values.max() <= LARGEST:  # false for NaN
             continue
         record.require_finite(name)

@@ -93,7 +93,7 @@ class ParquetRows(FileRows):
         wanted = parts_between(self.groups, start, stop)
         with reading(where, "Parquet file"), pq.ParquetFile(self.path) as file:
             headers = headers_of(file.schema_arrow, where)
-            columns = sorted({*request.rows(headers)})
+            columns = request.rows(headers)
             names = [file.schema_arrow.names[i] for i in columns]
             table = file.read_row_groups(wanted, columns=names, use_threads=False)
             place = {i: k for k, i in enumerate(columns)}
