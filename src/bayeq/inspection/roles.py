@@ -457,10 +457,8 @@ def _runs(links: Sequence[Link], reasons: dict[str, str]) -> list[list[str | Non
 
 
 def _reaches(up: Mapping[str, Link], start: str, end: str) -> bool:
-    while start in up:
+    while start in up and start != end:
         start = up[start].above
-        if start == end:
-            return True
     return start == end
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from bayeq.errors import FileFormatError, needing
 from bayeq.records.columns import RATE_NAMES, STEP_NAMES, Columns, Request
-from bayeq.records.formats.nested import DEEPEST, MOST_ARRAYS, Channel, channels_of, read_pieces, step_of
+from bayeq.records.formats.nested import DEEPEST, MOST_ARRAYS, Channel, about_of, channels_of, read_pieces
 from bayeq.records.formats.protocol import FileRows, check_array, grid, reading
 from bayeq.records.record import Record
 
@@ -82,12 +82,7 @@ class _Tree:
         self.own = _MARK in file.attrs
 
     def group(self, group: Any, depth: int) -> dict[str, Any]:
-        found: dict[str, Any] = {}
-        about = _about(group)
-        if "unit" in about:
-            found["units"] = about["unit"]
-        if "step" in about:
-            found["dt"] = np.asarray(about["step"])
+        found = _entries(group)
         for name in group:
             if not name.startswith("#"):  # groups in which MATLAB keeps referenced arrays
                 link = group.get(name, getlink=True)
@@ -135,7 +130,7 @@ class _Tree:
             return "".join(map(chr, np.ravel(node[...]).tolist())) if node.size < 200 else None
         if kind and kind not in _NUMBERS:
             return None  # MATLAB's strings, tables, functions
-        about = _about(node)
+        about = about_of(_entries(node))
         if self.own and node.ndim == 1:
             about["single"] = True
         shape = tuple(node.shape)
@@ -179,16 +174,16 @@ def _by_index(fields: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     }
 
 
-def _about(node: Any) -> dict[str, Any]:
-    """The unit and the time step [s] stated by attributes."""
+def _entries(node: Any) -> dict[str, Any]:
+    """Attributes that state the unit and the time step, as the entries of a struct do."""
     out: dict[str, Any] = {}
     for name in node.attrs:
         if name.casefold() in ("unit", "units"):
             value = _attribute(node, name)
             if (unit := _text(value)) or isinstance(value, str):  # an empty unit overrides one in the name
-                out["unit"] = unit
-        elif name in (*STEP_NAMES, *RATE_NAMES) and (step := step_of(name, _attribute(node, name))) is not None:
-            out["step"] = step
+                out[name] = unit
+        elif name in (*STEP_NAMES, *RATE_NAMES):
+            out[name] = np.asarray(_attribute(node, name))
     return out
 
 

@@ -67,7 +67,7 @@ def _walk(node: Any, path: str, about: Mapping[str, Any], where: str, depth: int
     if depth > DEEPEST:
         raise FileFormatError(f"{where}: {path[:40]!r} is nested deeper than {DEEPEST} levels")
     if isinstance(node, Mapping):
-        here = {**{key: value for key, value in about.items() if key not in ("unit", "label")}, **_about(node)}
+        here = {**{key: value for key, value in about.items() if key not in ("unit", "label")}, **about_of(node)}
         for name, child in node.items():
             inner = f"{path}{name}" if str(name).startswith("[") else f"{path}.{name}" if path else str(name)
             yield from _walk(child, inner, here, where, depth + 1)
@@ -80,7 +80,7 @@ def _walk(node: Any, path: str, about: Mapping[str, Any], where: str, depth: int
         yield from _rows(node, path, {**about, **dict(getattr(node, "about", {}))})
 
 
-def _about(node: Mapping[str, Any]) -> dict[str, Any]:
+def about_of(node: Mapping[str, Any]) -> dict[str, Any]:
     """Unit and time step stated by entries of a struct or group, and the label of its array if it is the only one."""
     out: dict[str, Any] = {}
     arrays = [name for name, value in node.items() if math.prod(getattr(value, "shape", ())) > 1]
