@@ -502,9 +502,9 @@ def _channel_messages(motion: Motion, records: Sequence[Record]) -> list[str]:
     records = [corrected(record, motion.sensors) for record in records]
     present = [bridged_record(record, roles, MOST_BRIDGED) for record in records]
     stepping = roles.targets if "hold" in motion.courses.values() else ()
-    chains, rows = [chain.measured for chain in roles.chains], [record.n for record in records]
+    chains = [chain.measured for chain in roles.chains]
     drifting = motion.band is not None and motion.band[0] > 0.0
-    return check_messages(present, chains, roles.inputs, rows, stepping, drifting)
+    return check_messages(present, chains, roles.inputs, stepping, drifting)
 
 
 def _constrained(known: Sequence[str], design: Design, method: str) -> tuple[Constraints, ...]:

@@ -156,26 +156,24 @@ def check_messages(
     records: Sequence[Record],
     chains: Sequence[Sequence[str | None]],
     inputs: Sequence[str] = (),
-    rows: Sequence[int] | None = None,
     stepping: Sequence[str] = (),
     drifting: bool = False,
 ) -> list[str]:
     """One sentence for each kind of finding and channel, even if several records show it.
 
-    Missing samples are not reported for records with fewer rows than `rows`, their original number. A lead of half a
-    sample is not reported for `stepping` channels, such as an acceleration under an input held between samples. With
-    `drifting`, offsets and drifts are estimated later and not reported.
+    A lead of half a sample is not reported for `stepping` channels, such as an acceleration under an input held between
+    samples. With `drifting`, offsets and drifts are estimated later and not reported.
     """
     found: dict[tuple[str, tuple[str, ...]], list[str]] = {}
     several = len(records) > 1
-    for record, n in zip(records, rows or [record.n for record in records], strict=True):
+    for record in records:
         where = f"{record.name or 'a record'}: " if several else ""
         for finding in check_record(record, chains, inputs):
             late = finding.value / (record.dt or 1.0) if finding.kind == "delay" else 0.0
             if finding.channels[0] in stepping and abs(late + 0.5) < RECORDS.least_delay:
                 continue
             shifted, message = finding.kind in ("offset", "drift"), finding.message
-            if (finding.kind == "dropped" and record.n < n) or (shifted and drifting):
+            if shifted and drifting:
                 continue
             if shifted and several and record.fs is not None:  # offsets may differ between records
                 band = f"{record.fs / record.n:.1g}:{in_digits(0.5 * record.fs, 3)}"

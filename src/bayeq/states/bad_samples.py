@@ -156,15 +156,15 @@ def _message(name: str, kind: str, rows: Bools) -> str:
     return f"{name}: {samples} ({listed(rows)}: {in_digits(100 * count / len(rows))} %); {ADVICE[kind]}"
 
 
-# Largest number of characters in a list of rows.
-LISTED = 24
+# Largest number of stretches, and of characters, in a list of rows.
+SHOWN, LISTED = 3, 24
 
 
-def listed(rows: Bools, most: int = 3) -> str:
+def listed(rows: Bools) -> str:
     """Rows, counted from 1, in words."""
     numbers = np.flatnonzero(rows) + 1
     stretches = _places(numbers, 1)
-    texts = [f"{s[0]}" if len(s) == 1 else f"{s[0]} to {s[-1]}" for s in stretches[:most]]
+    texts = [f"{s[0]}" if len(s) == 1 else f"{s[0]} to {s[-1]}" for s in stretches[:SHOWN]]
     while len(texts) > 1 and len(", ".join(texts)) > LISTED:
         texts.pop()
     more = ", ..." if len(stretches) > len(texts) else ""

@@ -155,9 +155,7 @@ def bridged_record(record: Record, roles: Roles, most: float = 1.0) -> Record:
     changed = {
         name: bridged(values)
         for name in roles.channels
-        if name in record.channels
-        and 0.0 < float(np.isnan(values := record[name]).mean()) <= most
-        and not np.isinf(values).any()
+        if 0.0 < float(np.isnan(values := record[name]).mean()) <= most and not np.isinf(values).any()
     }
     return with_samples(record, changed)
 
