@@ -600,8 +600,6 @@ def test_what_cannot_be_used_is_refused():
         ChainSeries(times, (wave[:-1],))
     with pytest.raises(InputError, match="row 4"):
         ChainSeries(times, (np.where(np.arange(50) == 3, np.inf, wave),))
-    with pytest.raises(InputError, match="measured"):
-        ChainSeries(times, (None, None))
     with pytest.raises(InputError, match="noise of derivative 0"):
         fit_kinematic([series], noise_sd=(0.0, None))
     with pytest.raises(InputError, match="9 samples"):

@@ -149,8 +149,6 @@ def parse_chain(text: str) -> Chain:
         "write it as x:v:a (second order), x:: (only x measured; x:~v:~a to name what is estimated), ::a (only a), x"
         " (first order) or x:xdot"
     )
-    if not isinstance(text, str):
-        raise ChainError(f"a chain is a text, got {type(text).__name__}; {form}")
     if found := _MAP.fullmatch(text.strip()):
         chain = chain_of_map(found["name"], min(text.count("[-"), MOST_EARLIER))
         if str(chain) == text.strip():

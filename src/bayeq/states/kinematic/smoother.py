@@ -33,7 +33,7 @@ LARGEST = 1e150
 class ChainSeries:
     """Samples of one chain in one record.
 
-    An InputError refuses shapes that do not match, times that do not increase, infinite samples, and nothing measured.
+    An InputError refuses shapes that do not match, times that do not increase, and infinite samples.
 
     Examples
     --------
@@ -62,8 +62,6 @@ class ChainSeries:
                     " give NaN where a sample is missing"
                 )
             channels.append(samples)
-        if all(channel is None for channel in channels):
-            raise InputError("no derivative of the chain is measured: give the samples of at least one")
         object.__setattr__(self, "times", times)
         object.__setattr__(self, "channels", tuple(channels))
 
