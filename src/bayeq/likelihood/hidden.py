@@ -33,8 +33,8 @@ GRID, ROWS = 400, 4000
 STARTS, WORTH, TRIES, AT_END = 3, 0.5, 100, 0.99
 
 # A first path of a hidden state is the residual of the other terms plus one of these shares of the terms of coordinate
-# and velocity: without the state these explain part of what it does. The force of dry friction and of a damper in series
-# with a spring goes mostly with the velocity.
+# and velocity: without the state these explain part of what it does. The force of dry friction, or of a damper in
+# series with a spring, goes mostly with the velocity.
 SHARES = ((0.0, 0.0), (0.3, 0.0), (0.6, 0.0), (0.9, 0.0), (0.3, 0.9), (0.6, 0.9))
 
 # Grid for a hidden coordinate: springs within the factor STIFFNESS of the ratio of acceleration to displacement of a
