@@ -191,6 +191,7 @@ words = st.sampled_from(["oops", "run 7", "", "NA", "5", "a,b", "1,2,3"])
 )  # fmt: skip
 @example(width=2, count=5, header=False, faults=[(0, "oops"), (1, "a,b")])
 @example(width=2, count=5, header=False, faults=[(0, "a,b"), (1, "a,b")])
+@example(width=2, count=5, header=True, faults=[(0, "a,b"), (1, "a,b")])
 def test_no_row_is_lost_to_a_preamble(
     tmp_path: Path, width: int, count: int, header: bool, faults: list[tuple[int, str]]
 ) -> None:

@@ -211,8 +211,12 @@ def find_table(rows: Sequence[str]) -> Table | None:
     if rigol is not None:
         return rigol
     above = [fitted(words(row, delimiter, width), width) for row in rows[:start]]
-    # rows between a header and the table are units, or faulty
-    faulty = start == 2 or any(cells is not None and is_number(cells[0]) for cells in above[1:])
+    # rows between a header and the table are units, or faulty; whole numbers in rows of another width number channels
+    first = [split(row, delimiter)[0] for row in rows[1:start]]
+    faulty = start == 2 or any(
+        is_number(cell) and (cells is not None or not cell.lstrip("+-").isdigit())
+        for cell, cells in zip(first, above[1:], strict=True)
+    )
     if faulty and above[0] is not None and is_words(above[0]) and not _UNIT_LINE.match(rows[0]):
         return None
     if above[-1] is not None and not is_words(above[-1]):
