@@ -331,6 +331,15 @@ def resonant(n=8000):
     return values
 
 
+def test_a_code_of_missing_samples_is_no_limit():
+    record = simulate("duffing", n=600, seed=3, noise=0.01)
+    x = record["x"].copy()
+    x[::9] = -999.0
+    assert clipped_levels(x) == []
+    x[::9] = -1.05 * np.abs(record["x"]).max()
+    assert [one.which for one in clipped_levels(x)] == ["least"]
+
+
 def test_single_clipped_samples_are_found_and_coarse_levels_are_not_clipped():
     values = resonant()
     limit = np.sort(np.abs(values))[-5]

@@ -484,8 +484,9 @@ def clipped_levels(values: Floats, shut: bool = False) -> list[Clipping]:
         # rest at an extreme at the start or the end of a record is not clipping
         moving = np.flatnonzero(~beyond)
         inner = values[moving[0] : moving[-1] + 1]
-        level = float(levels[-1] if which == "greatest" else levels[0])
-        if shut and level == 0.0:
+        level, beside = (levels[-1], levels[-2]) if which == "greatest" else (levels[0], levels[1])
+        # a level as far from all others as -999 is a code for samples that are missing
+        if (shut and level == 0.0) or abs(level - beside) > levels[-2] - levels[1]:
             continue
         starts, lengths = equal_runs(inner)
         lengths = lengths[inner[starts] == level]
@@ -494,7 +495,7 @@ def clipped_levels(values: Floats, shut: bool = False) -> list[Clipping]:
         long = longest >= LEAST_RUN and beyond_chance
         often = symmetric or _often(values if which == "greatest" else -values)
         if (long or often) and 0 < count < MOST_AT_REST * len(inner):
-            found.append(Clipping(which, level, count, longest))
+            found.append(Clipping(which, float(level), count, longest))
     return found
 
 
