@@ -332,7 +332,7 @@ def resonant(n=8000):
 
 
 def test_a_code_of_missing_samples_is_no_limit():
-    record = simulate("duffing", n=600, seed=3, noise=0.01)
+    record = simulated(seed=3, noise=0.01)
     x = record["x"].copy()
     x[::9] = -999.0
     assert clipped_levels(x) == []
