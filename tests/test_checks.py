@@ -450,6 +450,8 @@ def test_what_cannot_be_repaired():
     with pytest.raises(InputError, match="a delay must be a finite number"):
         bq.correct_delay(record, "v", float("nan"))
     with pytest.raises(InputError, match="an offset must be a finite number"):
+        bq.remove_offset(record, "v", float("inf"))
+    with pytest.raises(InputError, match="no channel named 'much'"):
         bq.remove_offset(record, "v", "much")
     with pytest.raises(RecordError, match="no time"):
         bq.remove_offset(bq.Record(record.channels), "v", 0.0, drift=1.0)

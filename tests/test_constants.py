@@ -661,3 +661,12 @@ def test_what_a_stated_law_leaves_open_is_in_the_intervals():
     constants = {one.name: one.ci95 for one in eqs[1].constants}
     assert constants["tau"][0] < 0.12 < constants["tau"][1]
     assert constants["kb"][0] < 0.3 < constants["kb"][1]
+
+
+def test_a_term_that_is_not_finite_where_it_is_likeliest():
+    """A decay into noise: a power of negative samples is finite at the first value, but not at the likeliest."""
+    t = np.linspace(0.0, 10.0, 100)
+    x = 0.8 * np.exp(-0.7 * t) + 0.01 * np.random.default_rng(939502).standard_normal(100)
+    record = bq.Record.from_arrays({"x": x}, time=t)
+    with pytest.raises(InputError, match=r"term x\*\*\{a\}: not finite.* at a = .*: write abs\(\)"):
+        bq.discover(record, chains="x", dictionary="x, x**{a: 0.5..3}")

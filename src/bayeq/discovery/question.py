@@ -11,6 +11,7 @@ import numpy as np
 
 from bayeq.arrays import Bools
 from bayeq.dictionary import Specification, of_equations, written
+from bayeq.dictionary.ranges import constants_of
 from bayeq.discovery.cautions import (
     change_of,
     warn_of_blows,
@@ -420,7 +421,13 @@ class Question:
         terms = record.task.layout.terms
         if terms == design.terms:
             return design
-        return build_design(terms, with_found_laws(design.motion, terms), allowed=design.allowed)
+        found = build_design(terms, with_found_laws(design.motion, terms), allowed=design.allowed)
+        if found.dropped:
+            name, why = found.dropped[0].name, found.dropped[0].reason
+            values = ", ".join(f"{one} = {known.value:.4g}" for one, known in constants_of(terms).items())
+            advice = "write abs() where its argument changes sign" if "finite" in why else "give narrower ranges"
+            raise InputError(f"term {name}: {why}, at {values}: {advice}")
+        return found
 
     def _judged(self, design: Design, record: RecordFit | None) -> Design:
         """The design on the motion by which equations are judged."""
