@@ -19,7 +19,7 @@ import numpy as np
 from bayeq.arrays import Floats, Ints
 from bayeq.likelihood.channels import Suspect, suspects_of
 from bayeq.likelihood.filter import run_filter
-from bayeq.likelihood.fit import State, Statistics, adjoints, maximised, of_inputs, solved
+from bayeq.likelihood.fit import State, Statistics, adjoints, corrections, maximised, of_inputs, solved
 from bayeq.likelihood.levels import Levels
 from bayeq.likelihood.model import Fitted, Task
 from bayeq.numerics.distributions import Z95, Shape, excess_of, incomplete_beta, shape_of
@@ -138,7 +138,7 @@ def adequacy_of(task: Task, fitted: Fitted) -> Adequacy:
         # fits bound the memory of a discrepancy, but an unmeasured force may be slower
         free = replace(state, levels=state.levels.unbounded)
         state = replace(state, levels=maximised(task.linearised(state), free, task.precision_of(state))[0])
-    here = task.marginal(state)
+    here = task.marginal(state, bent=fitted.bent)
     interval = float(np.median(np.concatenate([one.intervals for one in task.series])))
     discrepancies = [_discrepancy(task, state, here.value, c, interval) for c in range(task.layout.chains)]
     changes = changes_of(task, state, here, fitted.power)
@@ -253,7 +253,11 @@ def gain_of(task: Task, state: State, c: int) -> float:
     held[len(state.levels.channels) + c] = True
 
     def value(levels: Levels) -> float:
-        return task.marginal(replace(state, levels=levels), keep=False).value - of_inputs(linears, levels)
+        other = replace(state, levels=levels)
+        found = task.marginal(other)
+        curved = corrections(task.layout, linears, adjoints(linears, levels, found, found.delta, curved=True))
+        bent = curved[state.chosen.chain, state.chosen.term]
+        return task.marginal(other, False, bent).value - of_inputs(linears, levels)
 
     without = replace(state, levels=state.levels.with_discrepancy(c, 0.0))
     levels = maximised(linears, without, task.precision_of(state), held)[0]
@@ -379,7 +383,7 @@ def power_of(task: Task, fitted: Fitted) -> float:
     """Power that the likelihood is raised to for correlated innovations; 1 if the scores look independent."""
     if not len(fitted.state.theta):
         return 1.0
-    found = task.marginal(fitted.state)
+    found = task.marginal(fitted.state, bent=fitted.bent)
     root = np.linalg.cholesky(found.covariance)
     excess, error = excess_of(
         [np.einsum("tk,tki->ti", *one.standardised(found.delta)) @ root for one in found.filtered]

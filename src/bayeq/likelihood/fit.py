@@ -150,11 +150,22 @@ def solved(A: Floats, B: Floats) -> Floats:
 
 
 def marginal(
-    linears: Sequence[Linear], state: State, levels: Levels, precision: Floats, keep: bool = True
+    linears: Sequence[Linear],
+    state: State,
+    levels: Levels,
+    precision: Floats,
+    keep: bool = True,
+    bent: Floats | None = None,
 ) -> Statistics:
-    """The likelihood with the chosen coefficients integrated out under N(0, 1/precision); `keep` as in `run_filter`."""
+    """The likelihood with the chosen coefficients integrated out under N(0, 1/precision); `keep` as in `run_filter`.
+
+    `bent`, (r,), are the derivatives of the log determinant by the chosen coefficients, from `improved`: the linearised
+    model is without them, and would gain by coefficients that the likelihood does not have.
+    """
     filtered = tuple(run_filter(linear, state.chosen, levels.noise, keep) for linear in linears)
     q = quadratic(filtered) + of_stated(levels.layout.stated, state.chosen, state.theta)
+    if bent is not None:
+        q = replace(q, slope=q.slope + bent)
     if not len(state.theta):
         return Statistics(q.level, q.level, np.zeros(0), np.zeros((0, 0)), filtered)
     if not (np.isfinite(q.level) and np.isfinite(q.information).all()):
@@ -230,6 +241,7 @@ def maximised(
     steps: int = 30,
     tolerance: float = 1e-3,
     steepest: float = 0.03,
+    bent: Floats | None = None,
 ) -> tuple[Levels, Statistics]:
     """Levels that maximise the marginal likelihood of a linearised model; those `held`, or known, stay.
 
@@ -251,7 +263,7 @@ def maximised(
         nonlocal base, last
         trial, last = levels.moved(moved * unit), None
         try:
-            found = marginal(linears, state, trial, precision)
+            found = marginal(linears, state, trial, precision, bent=bent)
         except np.linalg.LinAlgError:
             if base is None:
                 raise
@@ -273,7 +285,7 @@ def maximised(
     )
     levels = replace(levels.moved(least.x * unit), hessian=least.hessian)
     at_least = last is not None and np.array_equal(last[0], least.x)
-    return levels, last[1] if last is not None and at_least else marginal(linears, state, levels, precision)
+    return levels, last[1] if last is not None and at_least else marginal(linears, state, levels, precision, bent=bent)
 
 
 def corrections(layout: Layout, linears: Sequence[Linear], found: Sequence[Adjoint]) -> Floats:
@@ -285,12 +297,18 @@ def corrections(layout: Layout, linears: Sequence[Linear], found: Sequence[Adjoi
 
 
 def improved(
-    layout: Layout, series: Sequence[Series], linears: Sequence[Linear], state: State, found: Statistics
+    layout: Layout,
+    series: Sequence[Series],
+    linears: Sequence[Linear],
+    state: State,
+    found: Statistics,
+    bent: Floats | float = 0.0,
 ) -> tuple[State, Floats]:
-    """One Gauss-Newton step of coefficients and paths; also `corrections`, the derivatives of the log determinant."""
+    """One Gauss-Newton step of coefficients and paths; also `corrections`, the derivatives of the log determinant, of
+    which `found` has those in `bent` already."""
     first = adjoints(linears, state.levels, found, found.delta, curved=True)
     curved = corrections(layout, linears, first)
-    delta = found.delta + found.covariance @ curved[state.chosen.chain, state.chosen.term]
+    delta = found.delta + found.covariance @ (curved[state.chosen.chain, state.chosen.term] - bent)
     second = adjoints(linears, state.levels, found, delta, smoothed=bool(layout.jumps))
     return replace(state, theta=state.theta + delta).moved(layout, series, linears, second), curved
 

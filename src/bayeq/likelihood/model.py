@@ -111,9 +111,9 @@ class Task:
         """1/variance of the prior of each coefficient of a fit, (r,)."""
         return self.precision[self.number(state.chosen)]
 
-    def marginal(self, state: State, keep: bool = True) -> Statistics:
-        """The marginal likelihood at a state, with its coefficients integrated out; `keep` as in `run_filter`."""
-        return marginal(self.linearised(state), state, state.levels, self.precision_of(state), keep)
+    def marginal(self, state: State, keep: bool = True, bent: Floats | None = None) -> Statistics:
+        """The marginal likelihood at a state, with its coefficients integrated out; arguments as for `marginal`."""
+        return marginal(self.linearised(state), state, state.levels, self.precision_of(state), keep, bent)
 
     def value(self, state: State) -> float:
         """ln p(data | levels) at a state; -inf where the likelihood cannot be evaluated."""
@@ -213,6 +213,7 @@ class Fitted:
     # (C,), change of the evidence by averaging over the size of each discrepancy; None if at the likeliest sizes
     averages: Floats | None = None
     tried: dict[bytes, float] = field(default_factory=dict)  # evidence of the models that were fitted to be compared
+    bent: Floats | None = None  # (r,), see `bayeq.likelihood.fit.marginal`
     power: float = 1.0  # power of the likelihood in `quadratic` (`bayeq.likelihood.adequacy`)
 
     @cached_property
@@ -234,12 +235,13 @@ def fit(task: Task, state: State, coarse: bool = False, calm: int = 0) -> Fitted
     """
     layout, precision = task.layout, task.precision_of(state)
     before, last, halved, former = -np.inf, None, 0, None
+    own, bent = (state.chosen.chain, state.chosen.term), np.zeros(len(state.theta))
     for taken in range(STEPS if coarse else MOST_STEPS + calm):
         held = state.levels.optional if taken < calm else None
         while True:
             linears = task.linearised(state)
             try:
-                levels, found = maximised(linears, state, precision, held, **(COARSE if coarse else {}))
+                levels, found = maximised(linears, state, precision, held, bent=bent, **(COARSE if coarse else {}))
                 break
             except np.linalg.LinAlgError:
                 halved += 1
@@ -247,7 +249,8 @@ def fit(task: Task, state: State, coarse: bool = False, calm: int = 0) -> Fitted
                     raise
                 state = last.towards(state)
         last = state
-        state, curved = improved(layout, task.series, linears, replace(state, levels=levels), found)
+        state, curved = improved(layout, task.series, linears, replace(state, levels=levels), found, bent)
+        bent = curved[own]
         step, unit = state.theta - last.theta, np.linalg.inv(np.linalg.cholesky(found.covariance))
         length, arrived = float(np.linalg.norm(unit @ step)), state
         if former is not None and not coarse:
@@ -260,11 +263,12 @@ def fit(task: Task, state: State, coarse: bool = False, calm: int = 0) -> Fitted
         if abs(found.value - before) < SETTLED and 0.5 * length**2 < FLAT and taken >= calm:
             break
         before = found.value
-    found = task.marginal(state, keep=False)
+    found = task.marginal(state, False, bent)
     # if steps oscillate, the gain that the next one predicts is not realised; coarse fits have not converged anyway
     evidence = found.value if coarse else found.value - min(found.value - found.here, 0.5 * length**2)
     model = task.model(state.chosen)
-    return Fitted(model, state, evidence + task.prior(model), found.value, partial(expanded, task, state, curved))
+    expand = partial(expanded, task, state, curved)
+    return Fitted(model, state, evidence + task.prior(model), found.value, expand, bent=bent)
 
 
 def over_all_sizes(task: Task, fitted: Fitted, beside: Fitted | None = None) -> Fitted:
@@ -300,13 +304,13 @@ def _over_sizes(task: Task, fitted: Fitted, former: Floats) -> tuple[Floats, Sta
             if size == likeliest:
                 return 0.0
             other = replace(state, levels=levels.with_discrepancy(c, np.exp(size)))
-            return task.marginal(other, keep=False).value - fitted.value
+            return task.marginal(other, False, fitted.bent).value - fitted.value
 
         low, high = bounds[:, c].tolist()
         means[c], size = log_mean(log_ratio, low, high, likeliest)
         met[c] = met[c] if size == likeliest else np.exp(size)
     other = replace(state, levels=replace(levels, discrepancy=met))
-    if (met == levels.discrepancy).all() or not task.marginal(other, keep=False).value > fitted.value + FLAT:
+    if (met == levels.discrepancy).all() or not task.marginal(other, False, fitted.bent).value > fitted.value + FLAT:
         return means, None
     return means, other
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -224,6 +224,18 @@ def with_courses(motion: Motion, task: Task, fitted: Fitted, k: int) -> Iterator
     for own, courses in ((inputs[k], OTHERWISE), (random, (*OTHERWISE, *BENT))):
         others = [own._replace(course=course) for course in courses]
         yield [_with_others(motion, task, fitted.state, [*inputs[:k], one, *inputs[k + 1 :]]) for one in others]
+
+
+def with_exact_inputs(motion: Motion, task: Task, state: State, names: Collection[str]) -> tuple[Task, State]:
+    """The task with inputs that have no noise, as smooth as their samples are then, and the fit as its start."""
+    roles = task.layout.roles
+    inputs = [
+        _input(name, motion.train, 0.0, SMOOTHNESS)._replace(course=one.course) if name in names else one
+        for name, one in zip(roles.inputs, _inputs_of(state), strict=True)
+    ]
+    task, state = _with_others(motion, task, state, inputs)
+    exact = np.array([name in names for name, _ in task.layout.channels])
+    return task, replace(state, levels=replace(state.levels, held=exact | ~state.levels.learned))
 
 
 def _inputs_of(state: State) -> list[_Input]:

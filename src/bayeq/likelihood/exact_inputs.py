@@ -1,0 +1,63 @@
+"""Noise of an input, or a random force: what the record may not tell apart, with other coefficients.
+
+White noise of a white input drives the motion as a force that is new at every sample does. Where both explain the
+record as well, the coefficient of the input is known only up to the factor by which its noise weakens it.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bayeq.arrays import Floats
+from bayeq.likelihood.fit import State
+from bayeq.likelihood.model import Fitted, Task, fit
+from bayeq.likelihood.search import CLEARLY
+from bayeq.likelihood.start import with_exact_inputs
+from bayeq.numerics.settings import LIKELIHOOD
+from bayeq.states import Motion
+
+# Noise of an input matters where it weakens a coefficient by more than this many of its standard deviations.
+MATTERS = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class ExactInputs:
+    """A fit as likely as another one, in which inputs have no noise."""
+
+    inputs: tuple[str, ...]
+    theta: Floats  # (r,), coefficients of the model
+
+    def moved(self, state: State, covariance: Floats, c: int) -> tuple[int, float, float]:
+        """Of equation c the coefficient that differs most from a fit's: its place, value, and distance in its sd."""
+        own = np.flatnonzero(state.chosen.chain == c)
+        apart = np.abs(self.theta - state.theta)[own] / np.sqrt(np.diagonal(covariance))[own]
+        place = own[int(np.argmax(apart))] if len(own) else 0
+        return int(place), float(self.theta[place]) if len(own) else 0.0, float(apart.max(initial=0.0))
+
+
+def exact_inputs(motion: Motion, task: Task, fitted: Fitted, covariance: Floats) -> ExactInputs | None:
+    """The fit of the same model to a motion with exact inputs and discrepancies instead; None if it is clearly less
+    likely, or if no input's noise matters."""
+    state, layout = fitted.state, task.layout
+    sd, share = np.sqrt(np.diagonal(covariance)), state.levels.channels / state.levels.scales.channels
+    names, unexplained = list[str](), np.zeros(layout.chains)
+    for i, name in enumerate(layout.roles.inputs, layout.first_input):
+        own = [k for k, j in enumerate(state.chosen.term) if j < len(layout.terms) and name in layout.terms[j].names]
+        if state.levels.learned[i] and any(share[i] * abs(state.theta[k]) > MATTERS * sd[k] for k in own):
+            names.append(name)
+            np.add.at(unexplained, state.chosen.chain[own], state.theta[own] ** 2 * state.levels.channels[i])
+    if not names:
+        return None
+    with suppress(np.linalg.LinAlgError), np.errstate(all="ignore"):
+        there, start = with_exact_inputs(motion, task, state, names)
+        levels = start.levels
+        memory = np.where(unexplained > levels.discrepancy, 2.0 * LIKELIHOOD.shortest_memory, levels.memory)
+        sizes = np.maximum(levels.discrepancy, unexplained)
+        other = fit(there, replace(start, levels=replace(levels, discrepancy=sizes, memory=memory)))
+        before = fitted.evidence - (0.0 if fitted.averages is None else float(fitted.averages.sum()))
+        if other.evidence > before - CLEARLY:
+            return ExactInputs(tuple(names), other.state.theta)
+    return None
