@@ -342,7 +342,9 @@ def moved(task: Task, fitted: Fitted, motion: Motion | None = None) -> tuple[Tas
             last, now = now, then
             if farthest < NEAR:
                 break
-        own = now[0] if motion is None else with_terms(motion, now[0], now[0].layout.terms)
+        own = now[0]
+        if motion is not None:
+            own = replace(own, precision=with_terms(motion, task, own.layout.terms).precision)
         other = over_all_sizes(own, fit(own, now[1]))
     except np.linalg.LinAlgError:
         return task, fitted
