@@ -187,9 +187,13 @@ def with_doubts(
     design = selections[0].fit.regression.design
     again = repeating(design.motion, design.terms)
     name, much = max(clipped.items(), key=lambda one: one[1], default=("", 0.0))
+    exact: dict[str, Verdict] | None = None
     found = []
     for equation, selection in zip(equations, selections, strict=True):
         verdict, shape = _doubted(equation, selection, tolerance, again), selection.shown_fit.regression.shape
+        if verdict.kind == "found":
+            exact = _of_noise(selections[0]) if exact is None else exact
+            verdict = exact.get(equation.target, verdict)
         same = exchangeable(equation, equations)
         if same is not None and verdict.kind != "none":
             verdict = Verdict("not determined", same, "give the range of the constant that you know, {a: 0.1..1}")
@@ -198,6 +202,21 @@ def with_doubts(
         residuals = equation.residuals if shape is None else replace(equation.residuals, **shape._asdict())
         found.append(replace(equation, verdict=verdict, residuals=residuals))
     return tuple(found)
+
+
+def _of_noise(selection: Selection) -> dict[str, Verdict]:
+    """Verdicts by target on equations of which a coefficient depends on whether inputs have noise: the record does not
+    tell that from a random force."""
+    regression, found = selection.fit.regression, dict[str, Verdict]()
+    other = regression.record.with_exact_inputs(regression.motion) if isinstance(regression, RecordRegression) else None
+    for c, chain in enumerate(regression.motion.roles.chains):
+        j, value, apart = (-1, 0.0, 0.0) if other is None else other.farthest(c)
+        if other is not None and apart > CONTRADICTED:
+            name = regression.design.terms[j].text if j < len(regression.design.terms) else "the constant"
+            inputs = ", ".join(other.inputs)
+            reason = f"as likely is a random force and no noise of {inputs}, with {name} {value:.4g}"
+            found[chain.target] = Verdict("not determined", reason, f"give the noise of {inputs} (--noise)")
+    return found
 
 
 def exchangeable(equation: Equation, equations: Sequence[Equation]) -> str | None:

@@ -1,7 +1,8 @@
 """Noise of an input, or a random force: what the record may not tell apart, with other coefficients.
 
-White noise of a white input drives the motion as a force that is new at every sample does. Where both explain the
-record as well, the coefficient of the input is known only up to the factor by which its noise weakens it.
+The noise of an input that is itself a random sequence is not seen in its samples, and drives the motion as a force that
+is new at every sample does. Where both explain the record as well, the coefficient of the input is known only up to the
+factor by which its noise weakens it.
 """
 
 from __future__ import annotations
@@ -11,8 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayeq.arrays import Floats
-from bayeq.likelihood.fit import State
+from bayeq.arrays import Floats, Ints
 from bayeq.likelihood.model import Fitted, Task, fit
 from bayeq.likelihood.search import CLEARLY
 from bayeq.likelihood.start import with_exact_inputs
@@ -25,17 +25,21 @@ MATTERS = 1.0
 
 @dataclass(frozen=True, eq=False)
 class ExactInputs:
-    """A fit as likely as another one, in which inputs have no noise."""
+    """A fit as likely as another one of the same model, in which inputs have no noise."""
 
     inputs: tuple[str, ...]
-    theta: Floats  # (r,), coefficients of the model
+    chain: Ints  # (r,), numbers of the equation and of the term of each coefficient
+    term: Ints
+    theta: Floats  # (r,), coefficients
+    apart: Floats  # (r,), their distance from those of the other fit, in its standard deviations
 
-    def moved(self, state: State, covariance: Floats, c: int) -> tuple[int, float, float]:
-        """Of equation c the coefficient that differs most from a fit's: its place, value, and distance in its sd."""
-        own = np.flatnonzero(state.chosen.chain == c)
-        apart = np.abs(self.theta - state.theta)[own] / np.sqrt(np.diagonal(covariance))[own]
-        place = own[int(np.argmax(apart))] if len(own) else 0
-        return int(place), float(self.theta[place]) if len(own) else 0.0, float(apart.max(initial=0.0))
+    def farthest(self, c: int) -> tuple[int, float, float]:
+        """Term, coefficient and distance of the coefficient of equation c that differs most; term -1 if it has none."""
+        own = np.flatnonzero(self.chain == c)
+        if not len(own):
+            return -1, 0.0, 0.0
+        k = own[int(np.argmax(self.apart[own]))]
+        return int(self.term[k]), float(self.theta[k]), float(self.apart[k])
 
 
 def exact_inputs(motion: Motion, task: Task, fitted: Fitted, covariance: Floats) -> ExactInputs | None:
@@ -45,6 +49,8 @@ def exact_inputs(motion: Motion, task: Task, fitted: Fitted, covariance: Floats)
     sd, share = np.sqrt(np.diagonal(covariance)), state.levels.channels / state.levels.scales.channels
     names, unexplained = list[str](), np.zeros(layout.chains)
     for i, name in enumerate(layout.roles.inputs, layout.first_input):
+        if layout.smoothness[i - layout.first_input]:  # its samples tell its noise
+            continue
         own = [k for k, j in enumerate(state.chosen.term) if j < len(layout.terms) and name in layout.terms[j].names]
         if state.levels.learned[i] and any(share[i] * abs(state.theta[k]) > MATTERS * sd[k] for k in own):
             names.append(name)
@@ -59,5 +65,6 @@ def exact_inputs(motion: Motion, task: Task, fitted: Fitted, covariance: Floats)
         other = fit(there, replace(start, levels=replace(levels, discrepancy=sizes, memory=memory)))
         before = fitted.evidence - (0.0 if fitted.averages is None else float(fitted.averages.sum()))
         if other.evidence > before - CLEARLY:
-            return ExactInputs(tuple(names), other.state.theta)
+            apart = np.abs(other.state.theta - state.theta) / sd
+            return ExactInputs(tuple(names), *state.chosen, other.state.theta, apart)
     return None

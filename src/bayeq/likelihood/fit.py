@@ -241,7 +241,6 @@ def maximised(
     steps: int = 30,
     tolerance: float = 1e-3,
     steepest: float = 0.03,
-    bent: Floats | None = None,
 ) -> tuple[Levels, Statistics]:
     """Levels that maximise the marginal likelihood of a linearised model; those `held`, or known, stay.
 
@@ -263,7 +262,7 @@ def maximised(
         nonlocal base, last
         trial, last = levels.moved(moved * unit), None
         try:
-            found = marginal(linears, state, trial, precision, bent=bent)
+            found = marginal(linears, state, trial, precision)
         except np.linalg.LinAlgError:
             if base is None:
                 raise
@@ -285,7 +284,7 @@ def maximised(
     )
     levels = replace(levels.moved(least.x * unit), hessian=least.hessian)
     at_least = last is not None and np.array_equal(last[0], least.x)
-    return levels, last[1] if last is not None and at_least else marginal(linears, state, levels, precision, bent=bent)
+    return levels, last[1] if last is not None and at_least else marginal(linears, state, levels, precision)
 
 
 def corrections(layout: Layout, linears: Sequence[Linear], found: Sequence[Adjoint]) -> Floats:
@@ -297,18 +296,12 @@ def corrections(layout: Layout, linears: Sequence[Linear], found: Sequence[Adjoi
 
 
 def improved(
-    layout: Layout,
-    series: Sequence[Series],
-    linears: Sequence[Linear],
-    state: State,
-    found: Statistics,
-    bent: Floats | float = 0.0,
+    layout: Layout, series: Sequence[Series], linears: Sequence[Linear], state: State, found: Statistics
 ) -> tuple[State, Floats]:
-    """One Gauss-Newton step of coefficients and paths; also `corrections`, the derivatives of the log determinant, of
-    which `found` has those in `bent` already."""
+    """One Gauss-Newton step of coefficients and paths; also `corrections`, the derivatives of the log determinant."""
     first = adjoints(linears, state.levels, found, found.delta, curved=True)
     curved = corrections(layout, linears, first)
-    delta = found.delta + found.covariance @ (curved[state.chosen.chain, state.chosen.term] - bent)
+    delta = found.delta + found.covariance @ curved[state.chosen.chain, state.chosen.term]
     second = adjoints(linears, state.levels, found, delta, smoothed=bool(layout.jumps))
     return replace(state, theta=state.theta + delta).moved(layout, series, linears, second), curved
 

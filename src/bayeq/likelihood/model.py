@@ -235,13 +235,12 @@ def fit(task: Task, state: State, coarse: bool = False, calm: int = 0) -> Fitted
     """
     layout, precision = task.layout, task.precision_of(state)
     before, last, halved, former = -np.inf, None, 0, None
-    own, bent = (state.chosen.chain, state.chosen.term), np.zeros(len(state.theta))
     for taken in range(STEPS if coarse else MOST_STEPS + calm):
         held = state.levels.optional if taken < calm else None
         while True:
             linears = task.linearised(state)
             try:
-                levels, found = maximised(linears, state, precision, held, bent=bent, **(COARSE if coarse else {}))
+                levels, found = maximised(linears, state, precision, held, **(COARSE if coarse else {}))
                 break
             except np.linalg.LinAlgError:
                 halved += 1
@@ -249,8 +248,7 @@ def fit(task: Task, state: State, coarse: bool = False, calm: int = 0) -> Fitted
                     raise
                 state = last.towards(state)
         last = state
-        state, curved = improved(layout, task.series, linears, replace(state, levels=levels), found, bent)
-        bent = curved[own]
+        state, curved = improved(layout, task.series, linears, replace(state, levels=levels), found)
         step, unit = state.theta - last.theta, np.linalg.inv(np.linalg.cholesky(found.covariance))
         length, arrived = float(np.linalg.norm(unit @ step)), state
         if former is not None and not coarse:
@@ -263,6 +261,8 @@ def fit(task: Task, state: State, coarse: bool = False, calm: int = 0) -> Fitted
         if abs(found.value - before) < SETTLED and 0.5 * length**2 < FLAT and taken >= calm:
             break
         before = found.value
+    # without this the linearised model would gain by coefficients that the likelihood does not have
+    bent = curved[state.chosen.chain, state.chosen.term]
     found = task.marginal(state, False, bent)
     # if steps oscillate, the gain that the next one predicts is not realised; coarse fits have not converged anyway
     evidence = found.value if coarse else found.value - min(found.value - found.here, 0.5 * length**2)

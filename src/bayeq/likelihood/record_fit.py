@@ -21,6 +21,7 @@ from bayeq.likelihood.adequacy import Adequacy, adequacy_of, power_of
 from bayeq.likelihood.block import Block, at_its_path
 from bayeq.likelihood.channels import Calibration, calibration_of, lags_of
 from bayeq.likelihood.courses import with_other_inputs
+from bayeq.likelihood.exact_inputs import ExactInputs, exact_inputs
 from bayeq.likelihood.fit import Quadratic, State, candidates, of_stated, solved
 from bayeq.likelihood.hidden import law_constants, with_laws_of
 from bayeq.likelihood.layout import Stated
@@ -122,7 +123,7 @@ class RecordFit:
         """The fit of another model, (C (P + 1),) bool; probabilities stay."""
         if self.task.counted is not None:
             state = with_model(self.task, self.fitted, model)
-            return replace(self, fitted=replace(self.fitted, model=model, state=state))
+            return replace(self, fitted=replace(self.fitted, model=model, state=state, bent=None))
         if bool((model == self.fitted.model).all()):
             return self
         try:
@@ -252,6 +253,12 @@ class RecordFit:
         """Estimated calibration factors of the channels in `gain_sd`, relative to the samples as measured."""
         with np.errstate(all="ignore"):
             return calibration_of(self._hardly_shrunk, self._unshrunk[0], self.fitted.power)
+
+    def with_exact_inputs(self, motion: Motion) -> ExactInputs | None:
+        """A fit to the motion as likely as this one, with inputs that have no noise (`exact_inputs`)."""
+        if self.more is not None or not self.own:
+            return None
+        return exact_inputs(motion, self.task, self.fitted, self._unshrunk[1])
 
     def unstated(self, c: int, j: int) -> float | None:
         """Coefficient of term j in equation c, if it is in the model, by a fit without the stated coefficients.
