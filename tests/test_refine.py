@@ -229,7 +229,8 @@ def test_several_records_and_dropped_samples():
     pieces = [coarse("duffing", 400, seed, NOISE) for seed in (10, 11)]
     kept = np.flatnonzero(np.random.default_rng(0).random(400) > 0.05)
     kept = np.union1d(kept, [0, 399])
-    eq = duffing(pieces, smooth="auto")
+    found = duffing(pieces, smooth="auto")
+    eq = with_coef(found, 1.05 * found[0].posterior.coef)
     together = eq.refine(pieces)
     assert together.refined.n == 640
     with pytest.warns(DataWarning, match="gaps longer than half a period of a"):  # as discover says
@@ -238,6 +239,16 @@ def test_several_records_and_dropped_samples():
     for name, value in together[0].coef.items():
         assert gaps[0].coef[name] == pytest.approx(value, rel=0.02)
         assert value == pytest.approx(TRUTH[name], rel=0.02)
+
+
+def test_the_likelihood_is_not_replaced_by_what_chance_may_explain():
+    """It allows for noise of the force, which drives the motion, and output error does not."""
+    record = coarse("duffing", 600, 6, {"x": 0.02, "v": 0.02, "a": 0.02, "u": 0.03})
+    found = duffing(record, smooth="auto")
+    with pytest.warns(ConvergenceWarning, match="not refined: free runs over windows .* keep the equations"):
+        assert found.refine(record) is found
+    with pytest.warns(DataWarning, match="correlated in time"):
+        assert with_coef(found, 1.05 * found[0].posterior.coef).refine(record).refined is not None
 
 
 def test_rows_held_out_are_not_used():

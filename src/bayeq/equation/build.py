@@ -410,13 +410,13 @@ def _against_stated(equation: Equation, selection: Selection) -> Iterator[tuple[
     posterior = equation.posterior
     known = posterior if posterior.projected is None else posterior.projected
     for j, mean, sd in selection.fit.constraints.stated:
-        stated, precision = sd**-2.0, known.sd[j] ** -2.0
-        alone = precision - stated
-        if not alone > TOLD * precision:  # no estimate, as for the scale of a hidden state
-            continue
-        value = (known.coef[j] * precision - mean * stated) / alone
-        if abs(value - mean) > CONTRADICTED * math.hypot(sd, alone**-0.5):
-            yield j, mean, sd, float(value)
+        value, spread = float(posterior.coef[j]), math.hypot(sd, float(posterior.sd[j]))  # 0 for a term that is out
+        alone = known.sd[j] ** -2.0 - sd**-2.0 if known.sd[j] > 0.0 else 0.0
+        if alone * known.sd[j] ** 2 > TOLD:  # else the record tells too little, as of the scale of a hidden state
+            value = float((known.coef[j] * known.sd[j] ** -2.0 - mean * sd**-2.0) / alone)
+            spread = math.hypot(sd, alone**-0.5)
+        if abs(value - mean) > CONTRADICTED * spread:
+            yield j, mean, sd, value
 
 
 def _runners_up(fit: RegressionFit, posterior: Posterior) -> tuple[RunnerUp, ...]:

@@ -135,8 +135,10 @@ def refine(
     duration = REFINE.windows * typical_period(dynamics, train)
     runs = [window_runs(before, train, duration), window_runs(dynamics, train, duration, found.parameters)]
     former, now = (apart(pairs) for pairs in runs)
-    # excess: unmeasured forces drive the motion, which spoils output error unless runs become clearly better
-    if runs_are_worse(*runs) or (found.excess > 1.0 and not runs_are_worse(*reversed(runs))):
+    # unseen forces and noise of inputs drive the motion, which spoils output error unless runs become clearly better:
+    # the residuals are correlated then (excess), and the likelihood of the record, which allows for both, is closer
+    spoilt = found.excess > 1.0 or (smooth == "auto" and bool(dynamics.roles.inputs))
+    if runs_are_worse(*runs) or (spoilt and not runs_are_worse(*reversed(runs))):
         return Unrefined(
             f"free runs over windows of the rows used would err by {100.0 * now:.3g} % instead of {100.0 * former:.3g}"
             f" %{', which may be chance' if now < former else ''}",
@@ -145,6 +147,8 @@ def refine(
     bound, scores = _at_bound(dynamics, found), None
     if held_out:
         scores = score_rows(before, before.mean, held_out), score_rows(dynamics, found.parameters, held_out)
+    if spoilt and _worse(scores):
+        return Unrefined(f"free runs over the rows held out would err more: {_worse(scores)}", "keep the equations")
     summary = Refinement(
         files=tuple(dict.fromkeys(rows.name for rows in motion.train)),
         n=sum(rows.n for rows in motion.train),
@@ -159,19 +163,26 @@ def refine(
     return refined, summary, scores and scores[1], list(_doubts(found, bound, scores))
 
 
+def _worse(scores: tuple[Scores, Scores] | None) -> str:
+    """Errors of free runs over the rows held out that are clearly larger than before; empty if none is."""
+    if scores is None:
+        return ""
+    before, after = scores
+    more = 1.0 + SURE / math.sqrt(2 * after.rows)  # the standard error of a root mean square
+    worse = [name for name, error in after.free_run.items() if error > more * before.free_run[name]]
+    former, now = (percentages({name: one.free_run[name] for name in worse}) for one in (before, after))
+    return f"{now}, before {former}" if worse else ""
+
+
 def _doubts(found: OutputError, bound: Sequence[str], scores: tuple[Scores, Scores] | None) -> Iterator[Doubt]:
     """Warnings: correlated residuals, worse held-out runs, no convergence, contradicted bounds, noise above given."""
     if found.excess > 1.0:
         times = f"variances of coefficients are {in_digits(found.excess)} times those of white noise"
         yield f"what free runs leave is correlated in time: {times}; add terms", DataWarning
-    if scores is not None:
-        before, after = scores
-        more = 1.0 + SURE / math.sqrt(2 * after.rows)  # the standard error of a root mean square
-        worse = [name for name, error in after.free_run.items() if error > more * before.free_run[name]]
-        former, now = (percentages({name: one.free_run[name] for name in worse}) for one in (before, after))
-        if worse:
-            err = f"free runs over the rows held out err more than before refining: {now}, before {former}"
-            yield f"{err}; compare both on another record before relying on either", ConvergenceWarning
+    worse = _worse(scores)
+    if worse:
+        err = f"free runs over the rows held out err more than before refining: {worse}"
+        yield f"{err}; compare both on another record before relying on either", ConvergenceWarning
     if not found.converged:
         limit = "the output-error estimate did not converge, its steps ended at their limit"
         yield f"{limit}: refine the result once more", ConvergenceWarning
