@@ -271,3 +271,9 @@ def test_ten_usable_rows_are_needed(duffing):
         bq.discover(few, chains="x:v:a", inputs=["u"])
     with pytest.raises(RecordError, match="9 rows: too few"):
         bq.discover(duffing.slice(0, 9), chains="x:v:a", inputs=["u"])
+
+
+def test_channels_that_are_never_known_in_neighbouring_rows():
+    record = bq.simulate("duffing", n=600, seed=11, noise=0.02)
+    every_other = np.where(np.arange(600) % 2, np.nan, record["u"])
+    assert found(record.with_channels({"u": every_other})) == {}  # and NumPy has nothing to warn of

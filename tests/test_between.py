@@ -179,6 +179,12 @@ def test_a_coefficient_that_was_measured_before_is_sharper_and_a_wrong_one_is_to
     # the discrepancy takes up what a wrong damping leaves: what is printed is far from it, its posterior was near
     with pytest.warns(BayeqWarning, match=r"contradicts v ~ -3 \+- 0\.01: it says -[12]\.\d+"):
         bq.discover(record, constraints=["v ~ -3 +- 0.01"], **ask)
+    # a term that is not needed is left out, and the discrepancy hides how well the sign of damping is known
+    with pytest.warns(BayeqWarning, match=r"contradicts v\*abs\(v\) ~ 0\.3 \+- 0\.01: it says 0"):
+        bq.discover(record, constraints=["v*abs(v) ~ 0.3 +- 0.01"], **ask)
+    bare = ask | {"dictionary": "x, v, x**3, u"}
+    with pytest.warns(BayeqWarning, match=r"contradicts v ~ 2 \+- 0\.01: it says -[12]\.\d+"):
+        bq.discover(record, constraints=["v ~ 2 +- 0.01"], **bare)
     # from displacement alone the discrepancy takes up two thirds of what a wrong mass leaves
     alone = {"chains": "x::", "inputs": ["u"], "holdout": 0.0, "dictionary": "x, dx, x**3, u"}
     (free,) = bq.discover(simulate("duffing", n=900, fs=250.0, seed=1, noise=0.02), **alone)

@@ -670,3 +670,16 @@ def test_a_term_that_is_not_finite_where_it_is_likeliest():
     record = bq.Record.from_arrays({"x": x}, time=t)
     with pytest.raises(InputError, match=r"term x\*\*\{a\}: not finite.* at a = .*: write abs\(\)"):
         bq.discover(record, chains="x", dictionary="x, x**{a: 0.5..3}")
+
+
+def test_two_values_that_are_as_likely_are_told():
+    """dc = -0.8 c + 3 exp(-t/2.2): the two rates may be exchanged, with another size of the drive."""
+    t = np.arange(200) / 20.0
+    c = solve_ivp(lambda s, y: -0.8 * y + 3.0 * np.exp(-s / 2.2), (0.0, t[-1]), [0.1], t_eval=t, rtol=1e-9).y[0]
+    noisy = c + 0.02 * c.std() * np.random.default_rng(939210).standard_normal(len(t))
+    record = bq.Record.from_arrays({"c": noisy}, time=t)
+    answer = bq.discover(record, chains="c", dictionary="c, c**2, exp(-t/{tau})", holdout=0.0)
+    assert answer.verdict.kind == "not determined"
+    other = float(answer.verdict.reason.partition("tau = ")[2])
+    found = sorted([other, answer.constants[0].value])
+    assert found == pytest.approx([1.0 / 0.8, 2.2], rel=0.06)

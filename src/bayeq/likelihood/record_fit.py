@@ -32,16 +32,13 @@ from bayeq.likelihood.profile import Profile, profile_of
 from bayeq.likelihood.projection import Leftover, leftover
 from bayeq.likelihood.search import CLEARLY, Start, from_starts, resumed, search
 from bayeq.likelihood.spike import Nearly, Soft, among_fitted, among_neighbours, averaged, of_gram, soft_of
-from bayeq.likelihood.start import carried_over, series_and_paths, start_from
+from bayeq.likelihood.start import carried_over, series_and_paths, start_from, stretches
 from bayeq.likelihood.unequal import with_unequal_noise
-from bayeq.likelihood.unknowns import joint_covariance, moved, settled, with_constants
+from bayeq.likelihood.unknowns import at_other_peaks, joint_covariance, moved, settled, with_constants
 from bayeq.numerics.rk4 import Interpolation
 from bayeq.numerics.settings import LIKELIHOOD
 from bayeq.states import Motion, Sensors
 from bayeq.states.motion import with_paths
-
-# Number of stretches in which long records are searched at first.
-STRETCHES = 4
 
 # Without shrinkage a fit is repeated only if a coefficient moves by more than this share of its standard deviation.
 HARDLY = 0.1
@@ -68,7 +65,7 @@ class RecordFit:
     # a model, and the sums over all rows about it, if the series hold only some rows
     more: tuple[Bools, Block] | None = None
     forms: Forms = field(default_factory=dict)  # of each either-or, the log posteriors of its members
-    # other values of the constants of stated laws with which the record is nearly as likely
+    # other values of constants with which the record is nearly as likely
     rivals: tuple[Mapping[str, float], ...] = ()
 
     @classmethod
@@ -254,6 +251,19 @@ class RecordFit:
         with np.errstate(all="ignore"):
             return calibration_of(self._hardly_shrunk, self._unshrunk[0], self.fitted.power)
 
+    def elsewhere(self, motion: Motion) -> tuple[Mapping[str, float], ...]:
+        """Values of the constants of a family outside of their intervals with which the record is nearly as likely."""
+        if self._joint is None or not self.own or self.more is not None:
+            return ()
+        ends = {one.name: one.ci95 for one in self._joint[1]}
+        others = at_other_peaks(motion, self.task, self.fitted, APART)
+        return tuple(
+            values
+            for values, one in others
+            if one.evidence > self.fitted.evidence - CLEARLY
+            and any(not ends[name][0] <= value <= ends[name][1] for name, value in values.items())
+        )
+
     def with_exact_inputs(self, motion: Motion) -> ExactInputs | None:
         """A fit to the motion as likely as this one, with inputs that have no noise (`exact_inputs`)."""
         if self.more is not None or not self.own:
@@ -261,7 +271,7 @@ class RecordFit:
         return exact_inputs(motion, self.task, self.fitted, self._unshrunk[1])
 
     def unstated(self, c: int, j: int) -> float | None:
-        """Coefficient of term j in equation c, if it is in the model, by a fit without the stated coefficients.
+        """Coefficient of term j in equation c by a fit of the model, and of that term, without the stated coefficients.
 
         The discrepancy takes up part of what contradicts these, so that an estimate from this fit would be too near
         them. None if such a fit cannot be evaluated, and for conserved sums.
@@ -269,8 +279,11 @@ class RecordFit:
         layout = replace(self.task.layout, stated=())
         if self.task.flows is not None:
             return None
+        model = self.fitted.model.copy()
+        model[self.block(c).start + j] = True
         with suppress(np.linalg.LinAlgError), np.errstate(all="ignore"):
-            state = from_all_levels(replace(self.task, layout=layout), calmed(fresh(self.fitted.state, layout))).state
+            start = with_model(self.task, self.fitted, model)
+            state = from_all_levels(replace(self.task, layout=layout), calmed(fresh(start, layout))).state
             at = np.flatnonzero((state.chosen.chain == c) & (state.chosen.term == j))
             return float(state.theta[at[0]]) if len(at) else None
         return None
@@ -462,12 +475,12 @@ def fit_record(
     likelihood cannot be evaluated.
     """
     with np.errstate(all="ignore"), suppress(np.linalg.LinAlgError):
-        some, places = _stretches(motion)
+        some, places = stretches(motion)
         log_odds = first_members(some, terms, log_odds)
         starts = []
         for start, own, sums in [(motion, terms, grams), *others]:
             with suppress(np.linalg.LinAlgError):
-                starts.append(start_from(_stretches(start)[0], own, sums, log_odds, tolerance, stated, conserved))
+                starts.append(start_from(stretches(start)[0], own, sums, log_odds, tolerance, stated, conserved))
         for finish in (False, True):  # the fit of a model that is not finished may fail
             with suppress(np.linalg.LinAlgError):
                 return _fitted(motion, some, places, starts, finish)
@@ -500,7 +513,8 @@ def _fitted(
         return _resumed(motion, task, fitted, places)
     unequal, state = with_unequal_noise(task, fitted.state, motion.sensors)
     fitted = finished(task, fitted) if unequal is task else resumed(unequal, state)
-    return _checked(replace(RecordFit.of(unequal, fitted), forms=forms, rivals=rivals))
+    found = replace(RecordFit.of(unequal, fitted), forms=forms)
+    return _checked(replace(found, rivals=rivals or found.elsewhere(motion)))
 
 
 def _among_all_neighbours(pairs: Sequence[tuple[Task, Fitted]]) -> list[tuple[Task, Fitted]]:
@@ -535,7 +549,7 @@ def learned_sensors(
     A LinAlgError says that the likelihood cannot be evaluated.
     """
     with np.errstate(all="ignore"):
-        some, _ = _stretches(motion)
+        some, _ = stretches(motion)
         task, states = start_from(some, terms, grams, first_members(some, terms, log_odds), None)
         task, fitted = from_starts(task, states)
         state, before = finished(task, fitted).state, motion.sensors
@@ -561,7 +575,7 @@ def refit_record(
         found = None
     task, most = former.task, np.maximum(LIKELIHOOD.adequate, former.kappa * (1.0 + 2.0 * former.kappa_error))
     if found is not None and found.own and (found.kappa <= most).all():
-        return replace(found, rivals=former.rivals)
+        return replace(found, rivals=former.rivals or found.rivals)
     log_odds = task.log_odds if task.ranges is None else task.log_odds - task.ranges
     stated, conserved = task.layout.stated, None
     if task.flows is not None:
@@ -575,34 +589,10 @@ def _resumed(motion: Motion, task: Task, fitted: Fitted, places: Sequence[tuple[
     task, state = carried_over(motion, task, fitted, places)
     task, state = with_unequal_noise(task, state, motion.sensors)
     task, fitted, forms = with_constants(motion, task, resumed(task, state))
-    return _checked(replace(RecordFit.of(task, fitted), forms=forms))
+    found = replace(RecordFit.of(task, fitted), forms=forms)
+    return _checked(replace(found, rivals=found.elsewhere(motion)))
 
 
 def _checked(found: RecordFit) -> RecordFit:
     _ = found.standards  # raises an error here if an equation cannot be solved
     return found
-
-
-def _stretches(motion: Motion) -> tuple[Motion, list[tuple[int, int]]]:
-    """The motion in stretches if it is long, else as it is, and the record and first row of each."""
-    total = sum(rows.n for rows in motion.train)
-    if total <= LIKELIHOOD.stretches_above:
-        return motion, [(record, 0) for record in range(len(motion.train))]
-    places, pieces = [], []
-    longest = LIKELIHOOD.stretches_above // STRETCHES
-    for record, count in _counts([rows.n for rows in motion.train], longest).items():
-        rows = motion.train[record]
-        length = min(longest, rows.n // count)
-        for first in np.linspace(0, rows.n - length, count).round().astype(int).tolist():
-            places.append((record, first))
-            pieces.append(rows.part(slice(first, first + length)))
-    cuts = tuple(rows.n for rows in pieces)
-    return replace(motion, records=tuple(pieces), cuts=cuts, holdout=0.0), places
-
-
-def _counts(rows: Sequence[int], longest: int) -> dict[int, int]:
-    """Number of stretches of each record; of many records one stretch each of some, evenly chosen."""
-    if len(rows) <= STRETCHES:
-        return {k: max(1, round(STRETCHES * n / sum(rows))) for k, n in enumerate(rows)}
-    most = -(-LIKELIHOOD.stretches_above // min(longest, int(np.median(rows))))
-    return dict.fromkeys(np.linspace(0, len(rows) - 1, min(len(rows), most)).round().astype(int).tolist(), 1)

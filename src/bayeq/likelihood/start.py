@@ -42,6 +42,9 @@ INPUT_ROWS = 2000
 OTHERWISE: tuple[Course, ...] = ("linear", "hold")
 BENT: tuple[Course, ...] = ("cubic", "band-limited")
 
+# Number of stretches in which long records are searched at first.
+STRETCHES = 4
+
 # Standard deviation of a tie as a share of that of its first coefficient's prior; log odds of that one alone: -ALONE.
 TIED, ALONE = 1e-6, 3.0
 
@@ -273,6 +276,31 @@ def carried_over(motion: Motion, task: Task, fitted: Fitted, places: Sequence[tu
         paths[record][first : first + len(path)] = path
     spectra = [_spectrum(name, motion.train, task.layout.centres[k]) for k, name in enumerate(task.layout.roles.inputs)]
     return with_spectra(replace(task, series=series), replace(fitted.state, paths=paths, blurs=()), spectra)
+
+
+def stretches(motion: Motion) -> tuple[Motion, list[tuple[int, int]]]:
+    """The motion in stretches if it is long, else as it is, and the record and first row of each."""
+    total = sum(rows.n for rows in motion.train)
+    if total <= LIKELIHOOD.stretches_above:
+        return motion, [(record, 0) for record in range(len(motion.train))]
+    places, pieces = [], []
+    longest = LIKELIHOOD.stretches_above // STRETCHES
+    for record, count in _counts([rows.n for rows in motion.train], longest).items():
+        rows = motion.train[record]
+        length = min(longest, rows.n // count)
+        for first in np.linspace(0, rows.n - length, count).round().astype(int).tolist():
+            places.append((record, first))
+            pieces.append(rows.part(slice(first, first + length)))
+    cuts = tuple(rows.n for rows in pieces)
+    return replace(motion, records=tuple(pieces), cuts=cuts, holdout=0.0), places
+
+
+def _counts(rows: Sequence[int], longest: int) -> dict[int, int]:
+    """Number of stretches of each record; of many records one stretch each of some, evenly chosen."""
+    if len(rows) <= STRETCHES:
+        return {k: max(1, round(STRETCHES * n / sum(rows))) for k, n in enumerate(rows)}
+    most = -(-LIKELIHOOD.stretches_above // min(longest, int(np.median(rows))))
+    return dict.fromkeys(np.linspace(0, len(rows) - 1, min(len(rows), most)).round().astype(int).tolist(), 1)
 
 
 def series_and_paths(layout: Layout, pieces: Sequence[MotionRows]) -> tuple[tuple[Series, ...], tuple[Floats, ...]]:

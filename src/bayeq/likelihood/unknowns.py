@@ -33,7 +33,7 @@ from bayeq.dictionary.ranges import (
     to_plain,
     to_scale,
 )
-from bayeq.expressions import Binary, Expression, Node, Symbol, number
+from bayeq.expressions import Binary, Expression, Node, Symbol, Unknown, number
 from bayeq.inference.collapsed.search import best_models
 from bayeq.likelihood.fit import State, improved, maximised, solved
 from bayeq.likelihood.layout import Candidates, Layout
@@ -217,6 +217,35 @@ def _elsewhere(motion: Motion, task: Task, fitted: Fitted, family: Sequence[int]
         if other[1].evidence > fitted.evidence + (0.0 if _holds(task, other[1].model, family) else BETTER):
             return other
     return task, fitted
+
+
+def at_other_peaks(
+    motion: Motion, task: Task, fitted: Fitted, apart: float
+) -> Iterator[tuple[dict[str, float], Fitted]]:
+    """Fits, with the values of their constants, at peaks of the likelihood about a fit that are nearly as high as its
+    own and further from it than the share `apart` of the range of a constant."""
+    for family in _sought(task):
+        if not _holds(task, fitted.model, family):
+            continue
+        constants = constants_of([task.layout.terms[j] for j in family])
+        now = {name: one.value for name, one in constants.items()}
+        tried = [one for one in by_rows(task, motion, family) if one != now]
+        here, *nodes = on_gram(task, fitted, family, [now, *tried])
+        for node in sorted(_peaks(tried, nodes), key=lambda one: -one.score):
+            if node.score > here.score - CLOSE and _distance(constants, now, node.values) > apart:
+                with suppress(np.linalg.LinAlgError):
+                    other, best = moved(*settle(*start_at(motion, task, fitted, node)), motion)
+                    found = {name: constants_of(other.layout.terms)[name].value for name in now}
+                    if _distance(constants, now, found) > apart:
+                        yield found, best
+
+
+def _distance(constants: Mapping[str, Unknown], one: Mapping[str, float], other: Mapping[str, float]) -> float:
+    """Largest distance of the values of a constant, as a share of its range on its scale."""
+    return max(
+        abs(to_scale(constants[name], one[name]) - to_scale(constants[name], other[name])) / extent(constants[name])
+        for name in one
+    )
 
 
 def _exchanged(motion: Motion, task: Task, fitted: Fitted) -> Iterator[dict[str, float]]:

@@ -283,7 +283,8 @@ def _wider(rows: Bools) -> Bools:
 def _blows(values: Floats) -> Bools:
     """Rows in which a channel is far from its values `ANSWER` + 1 rows before and after."""
     apart = np.abs(values[ANSWER + 1 :] - values[: -ANSWER - 1])
-    usual = float(np.nanquantile(apart, BLOW_SHARE))
+    known = apart[np.isfinite(apart)]
+    usual = float(np.quantile(known, BLOW_SHARE)) if len(known) else np.inf
     before = np.pad(apart, (ANSWER + 1, 0), constant_values=np.inf)
     after = np.pad(apart, (0, ANSWER + 1), constant_values=np.inf)
     with np.errstate(invalid="ignore"):
