@@ -119,12 +119,9 @@ study: $(VENV)/.dev
 	$(BIN)/bayeq study show study.db --format csv > docs/tables/table2.csv
 	$(BIN)/bayeq study show study.db --table 3 --format csv > docs/tables/table3.csv
 	$(BIN)/python -m studies.ablation --realisations 500 > docs/tables/ablation.csv
-	$(BIN)/bayeq study table2 --realisations 1000 --smooth band --store study_smoothed.db --algorithms vb,bma,vb-greedy
-	$(BIN)/bayeq study show study_smoothed.db --format csv > docs/tables/table2_smoothed.csv
 	$(BIN)/python -m studies.channels --records 5 > docs/tables/channels.csv
 	$(BIN)/python -m studies.discrepancy > docs/tables/discrepancy.csv
 	$(BIN)/python -m studies.coverage --smooth none > docs/tables/coverage.csv
-	$(BIN)/python -m studies.coverage --records 200 --smooth band > docs/tables/coverage_smoothed.csv
 	$(BIN)/python -m studies.coverage --clean-states > docs/tables/coverage_clean.csv
 	$(BIN)/python -m studies.calibration --folder docs/tables
 	$(BIN)/python -m studies.refinement > docs/tables/refinement.csv

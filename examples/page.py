@@ -138,6 +138,7 @@ def write_figure(figure: Figure, path: Path) -> None:
 def write_table(examples: Iterable[Example], path: Path) -> None:
     """Every number that the page quotes and its blocks do not show; a row each."""
     with path.open("w", newline="", encoding="utf-8") as file:
+        file.write("# python -m examples\n")
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(("example", "quantity", "value"))
         writer.writerows((e.name, quantity, value) for e in examples for quantity, value in e.numbers.items())

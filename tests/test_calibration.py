@@ -189,7 +189,7 @@ def test_bins_of_everything_are_those_of_all_tallies_together():
 
 def test_the_committed_table_has_ten_bins_of_five_hundred_terms():
     path = Path(__file__).parents[1] / "docs/tables/calibration_bins.csv"
-    lines = list(csv.DictReader(path.read_text().splitlines()))
+    lines = list(csv.DictReader(path.read_text().splitlines()[1:]))  # after the command that made it
     whole = [line for line in lines if line["design"] == "all"]
     derived = [{key: str(value) for key, value in line.items()} for line in calibration.pooled(lines[:-BINS])]
     assert [{key: value for key, value in line.items() if value} for line in whole] == derived

@@ -47,6 +47,12 @@ LONG = {
 HAVE_CODE = [name for name, page in PAGES.items() if RUN & {block.language for block in blocks(page)}]
 
 
+def test_every_table_begins_with_the_command_that_made_it():
+    for table in sorted((ROOT / "docs/tables").glob("*.csv")):
+        first = table.read_text(encoding="utf-8").partition("\n")[0]
+        assert re.match(r"# (bayeq study|python -m (studies|tests|examples))\b", first), table.name
+
+
 @pytest.mark.parametrize(
     "name",
     [pytest.param(name, marks=[pytest.mark.slow] * (name in LONG)) for name in HAVE_CODE if name not in ELSEWHERE],

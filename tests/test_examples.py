@@ -43,6 +43,7 @@ def test_the_page_shows_the_code_there_is():
 
 def test_every_decimal_of_the_text_is_printed_or_in_the_table():
     with (DOCS / "tables" / "examples.csv").open(encoding="utf-8") as file:
+        assert next(file).startswith("# python -m examples")
         known = " ".join(row["value"] for row in csv.DictReader(file))
     known += " ".join(text for _, text in FENCED.findall(page()))
     printed = set(re.findall(r"\d+\.\d+", known))
