@@ -6,7 +6,8 @@ import warnings
 
 import numpy as np
 import pytest
-from scipy.signal import savgol_filter
+from scipy.integrate import cumulative_trapezoid
+from scipy.signal import butter, savgol_filter, sosfiltfilt
 
 import bayeq as bq
 from bayeq.errors import BayeqWarning
@@ -94,3 +95,22 @@ def test_runs_and_files_keep_the_names(tmp_path):
     assert again[0].text == eq[0].text
     assert str(again[0].chain) == "x:~v:~a"
     assert again.simulate(rec, draws=0).nrmse["x"] < 0.03
+
+
+@pytest.mark.parametrize("rule", ["sums", "trapezoids", "without drift"])
+def test_a_running_integral_is_no_second_measurement(rule):
+    record = bq.simulate("duffing", n=1200, seed=3, noise=0.02)
+    a, step = record["a"], float(record.dt)
+    v = np.cumsum(a) * step if rule == "sums" else cumulative_trapezoid(a, dx=step, initial=0.0)
+    if rule == "without drift":
+        v = sosfiltfilt(butter(2, 0.5, "high", fs=1.0 / step, output="sos"), v)
+    chains, messages = measured_apart([record.with_channels({"v": v})], parse_chains(["x:v:a"]), 0.2)
+    assert [str(chain) for chain in chains] == ["x:~v:a"]
+    assert messages == [
+        "v: computed from a, not measured: estimated from the others again (smooth='none': taken as it is)"
+    ]
+    same, nothing = measured_apart([record], parse_chains(["x:v:a"]), 0.2)
+    assert [str(chain) for chain in same] == ["x:v:a"]
+    assert nothing == []
+    exact = bq.simulate("duffing", n=1200, seed=3, noise=0.0)  # smooth channels are alike, and nothing was computed
+    assert measured_apart([exact], parse_chains(["x:v:a"]), 0.2)[1] == []
