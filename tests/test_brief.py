@@ -6,6 +6,7 @@ import re
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import bayeq as bq
 from bayeq.cli.app import main
@@ -173,3 +174,23 @@ def test_an_answer_in_much_doubt_is_short_too(tmp_path, capsys):
     said = " ".join(" ".join(lines).split())
     assert re.search(r"95 % intervals: x \(.*in doubt: x \(PIP 0\.\d+\), .*sign\(x\) \(PIP 0\.\d+, not in it\)", said)
     assert "* interval over all models that hold the term" in said
+
+
+def test_a_series_for_a_kink_is_named(capsys, tmp_path):
+    """A spring that is 10 % stiffer beyond 2 mm: polynomials fit it as well, with another slope at rest."""
+    rng, t = np.random.default_rng(926510), np.arange(4000) / 400.0
+    w, phase = 2.0 * np.pi * np.linspace(0.8, 11.0, 25), rng.uniform(0.0, 2.0 * np.pi, 25)
+
+    def force(s):
+        return 2.0 * np.sin(np.multiply.outer(s, w) + phase).sum(axis=-1)
+
+    def acceleration(s, x, v):
+        stop = np.maximum(x - 2e-3, 0.0) + np.minimum(x + 2e-3, 0.0)
+        return 0.186 * force(s) - 1240.0 * (x + 0.1 * stop) - 1.06 * v
+
+    x, v = solve_ivp(lambda s, y: [y[1], acceleration(s, *y)], (0.0, 10.0), [0, 0], t_eval=t, max_step=2e-3).y
+    channels = {"x": x, "v": v, "a": acceleration(t, x, v), "u": force(t)}
+    noisy = {name: one + 0.01 * one.std() * rng.standard_normal(len(t)) for name, one in channels.items()}
+    bq.write(bq.Record.from_arrays(noisy, time=t), tmp_path / "stop.csv")
+    said = printed(capsys, "discover", tmp_path / "stop.csv", "--chain", "x:v:a", "--input", "u")
+    assert re.search(r"x\*\*3, .*may be a kink, and x off: try --dictionary 'oscillator \+ max\(x-\{g\},0\)'", said)

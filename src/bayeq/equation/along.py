@@ -152,6 +152,7 @@ def refinement(eq: Found, records: Sequence[Record], holdout: float, interpolati
         interpolation=interpolation or eq.data.interpolation,
         constraints=eq.known(),
         sensors=eq.data.sensors,
+        noise=eq.data.noise_sd,
     )
     if isinstance(found, Unrefined):
         message = f"not refined: {found.reason}; the equations are returned as they were: {found.advice}"

@@ -45,7 +45,7 @@ MOST_ROWS = 6
 # A longer answer of one equation has terms in lines instead of tables, and no empty line above the checks.
 MOST_LINES = 16
 
-# Functions of a displacement, neither linear nor cubic; more of them may be a series for another function.
+# Functions of a displacement that are not linear; more of them may be a series for another function.
 MOST_BENT = 2
 
 # Parameters that follow from others and are not printed.
@@ -270,12 +270,13 @@ def checks(eq: Answer) -> str:
 
 
 def series(equation: Equation) -> Iterator[str]:
-    """A hint if many terms in the displacement are neither linear nor cubic: they may be a series for a kink."""
+    """A hint if many terms in the displacement are not linear: they may be a series for a kink, and the slope at rest
+    is then not that of the spring."""
     x = equation.chain.names[0]
     bent = [term.text for term in equation.terms if term.text in equation.shown and term.names == {x}]
-    bent = [name for name in bent if name not in (x, f"{x}**3")]
+    bent = [name for name in bent if name != x]
     if equation.chain.order == 2 and len(bent) > MOST_BENT and not equation.constants:
-        yield f"{', '.join(bent)} may be a kink: try --dictionary 'oscillator + max({x}-{{g}},0)'"
+        yield f"{', '.join(bent)} may be a kink, and {x} off: try --dictionary 'oscillator + max({x}-{{g}},0)'"
 
 
 def offset(equation: Equation) -> Iterator[str]:

@@ -312,6 +312,9 @@ class RefineSettings:
         "worse.", "`refinement.csv`", "periods")
     worse_chance: float = setting(0.025, "... by a sign test at this level: better coefficients, too, run worse over "
         "half of the windows where both are close.", "`refinement.csv`")
+    noisy_input: float = setting(0.003, "... and clearly better where an input's noise is above this share of its "
+        "standard deviation: with 0.2 % refined laws were right, with 1 to 5 % intervals held the truth in 23 of 37.",
+        "set on simulated records")
 
 
 REFINE = RefineSettings()

@@ -100,12 +100,14 @@ def refine(
     interpolation: Courses,
     constraints: Sequence[Constraints],
     sensors: Sensors,
+    noise: Mapping[str, float],
 ) -> tuple[list[Changed], Refinement, Scores | None, list[Doubt]] | Unrefined:
     """Output-error estimate of the coefficients and intercepts; see `bayeq.Equations.refine`.
 
     `before` are the equations by regression, with all intercepts; `dynamics` the same with the intercepts that are
     estimated, the others are set to zero. Inputs are interpolated as given for all of them, or by the likeliest of
-    `KINDS` and those found before. Unrefined if free runs over windows of the rows used would become worse.
+    `KINDS` and those found before; `noise` has what is known of their standard deviations. Unrefined if free runs over
+    windows of the rows used would become worse.
 
     InputError: channels that are missing, no time, too few rows, or constraints that fix every coefficient.
     """
@@ -135,9 +137,12 @@ def refine(
     duration = REFINE.windows * typical_period(dynamics, train)
     runs = [window_runs(before, train, duration), window_runs(dynamics, train, duration, found.parameters)]
     former, now = (apart(pairs) for pairs in runs)
-    # unseen forces and noise of inputs drive the motion, which spoils output error unless runs become clearly better:
-    # the residuals are correlated then (excess), and the likelihood of the record, which allows for both, is closer
-    spoilt = found.excess > 1.0 or (smooth == "auto" and bool(dynamics.roles.inputs))
+    # forces that are not in the record (excess: correlated residuals) and noise of inputs drive the motion, which
+    # spoils output error unless runs become clearly better
+    spoilt = found.excess > 1.0 or any(
+        noise.get(name, 0.0) > REFINE.noisy_input * float(np.nanstd(np.concatenate([one[name] for one in records])))
+        for name in dynamics.roles.inputs
+    )
     if runs_are_worse(*runs) or (spoilt and not runs_are_worse(*reversed(runs))):
         return Unrefined(
             f"free runs over windows of the rows used would err by {100.0 * now:.3g} % instead of {100.0 * former:.3g}"
