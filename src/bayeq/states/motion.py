@@ -346,11 +346,8 @@ ROUNDING_NOISE = 1e-4
 ROUNDING = 1e-13
 
 # Differences of this order are mostly noise. Those of the steps of a running integral leave less than the share
-# INTEGRATED beside those of what was integrated: 0.00 of sums and of trapezoids, 0.98 to 1.00 of a sensor of its own.
-DIFFERENCES, INTEGRATED = 8, 0.2
-
-# Samples around a step that a rule of integration takes in.
-TAPS = 4
+# INTEGRATED beside those of what was integrated: 0.00 of sums and of trapezoids, 0.83 to 1.00 of a sensor of its own.
+DIFFERENCES, INTEGRATED, LEAST_STEPS = 8, 0.05, 40
 
 
 def measured_apart(
@@ -419,22 +416,19 @@ def _computed(records: Sequence[Record], chain: Chain, share: float) -> dict[int
 def _is_integral(records: Sequence[Record], cuts: Sequence[int], low: str, high: str) -> bool:
     """Whether a channel is the running integral of the next derivative: its steps then have the noise of that one.
 
-    High differences are compared, so that offsets and drifts that were removed from the integral do not matter. Those
-    of a step are a sum of those of the samples around it, whatever the rule of integration.
+    High differences are compared, so that offsets and drifts that were removed from the integral do not matter. A step
+    of a sum or of a trapezoid is a combination of the two samples at its ends, that of an exact motion is not.
     """
-    steps, around = [], []
+    steps, ends = [], []
     for record, cut in zip(records, cuts, strict=True):
-        if cut > DIFFERENCES + TAPS:
-            steps.append(np.diff(record[low][1 : cut - 2], 1 + DIFFERENCES))
-            high_differences = np.diff(record[high][:cut], DIFFERENCES)
-            around.append(np.lib.stride_tricks.sliding_window_view(high_differences, TAPS)[: len(steps[-1])])
-    if not steps:
-        return False
-    y, Z = np.concatenate(steps), np.concatenate(around)
+        steps.append(np.diff(record[low][:cut], 1 + DIFFERENCES))
+        differences = np.diff(record[high][:cut], DIFFERENCES)
+        ends.append(np.column_stack([differences[:-1], differences[1:]]))
+    y, Z = np.concatenate(steps), np.concatenate(ends)
     usable = np.isfinite(y) & np.isfinite(Z).all(axis=1)
     whole = np.concatenate([record[high][:cut] for record, cut in zip(records, cuts, strict=True)])
     # smooth channels are alike
-    if not _rough_noise([whole]) > ROUNDING_NOISE * float(np.nanstd(whole)) or usable.sum() < ROWS_PER_SAMPLE * TAPS:
+    if not _rough_noise([whole]) > ROUNDING_NOISE * float(np.nanstd(whole)) or usable.sum() < LEAST_STEPS:
         return False
     y, Z = y[usable], Z[usable]
     left = y - Z @ np.linalg.lstsq(Z, y)[0]
