@@ -334,6 +334,7 @@ LANGUAGE = "there are numbers, names, + - * / **"
         ("().__class__.__bases__", ["not allowed"]),
         ("(lambda: 1)()", ["not allowed", LANGUAGE]),
         ("[x for x in y]", ["'[' at column 1 is not allowed", LANGUAGE]),
+        ("sin[3*x]", ["'[' at column 4 is not allowed: arguments stand in round brackets, sin(...)"]),
         ("x if v else u", ["the word 'if' is not allowed", LANGUAGE]),
         ('f"{x}"', ["""'"' at column 2 is not allowed""", LANGUAGE]),
         ("x;v", ["';' at column 2 is not allowed", LANGUAGE]),

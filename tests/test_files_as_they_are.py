@@ -283,6 +283,8 @@ def test_modules_are_listed():
 
 def test_a_name_of_any_length_is_a_short_line():
     assert len(str(UnknownNameError("channel", "x" * 5000, ["x"]))) < 200
+    said = str(UnknownNameError("channel", "S,I", ["S", "I", "R"]))
+    assert said == "no channel named 'S,I': these are 2, give each by itself"
 
 
 def test_folders_of_killed_applications_are_removed(tmp_path, monkeypatch):

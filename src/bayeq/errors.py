@@ -28,6 +28,7 @@ import difflib
 import errno
 import operator
 import os
+import re
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -128,7 +129,10 @@ class UnknownNameError(InputError):
         folded = {k.casefold(): k for k in known}
         near = [folded[m] for m in difflib.get_close_matches(asked.casefold(), list(folded), n=3, cutoff=0.5)]
         message = f"no {kind} named {asked[:60]!r}"
-        if near:
+        several = re.split(r"[,_\s]+", asked)
+        if len(several) > 1 and set(several) <= set(known):
+            message += f": these are {len(several)}, give each by itself"
+        elif near:
             message += f"; did you mean {' or '.join(repr(m) for m in near)}?"
             if len(known) > len(near):
                 message += f" (there are: {', '.join(known[:12])}{', ...' if len(known) > 12 else ''})"

@@ -98,8 +98,10 @@ def _tokens(text: str) -> list[_Token]:
             if bad is not None:
                 raise _error(text, f"{_shown(bad[0])} is not a number, at column {at + 1}; write 2, 0.5 or 1e-3")
             mark = text[at : at + 2] if text[at : at + 2] in _HINTS else text[at]
-            behind = mark == "[" and re.search(r"\w\s*$", text[:at])
+            behind = re.search(r"(\w+)\s*$", text[:at]) if mark == "[" else None
             hint = _HINTS.get("x[" if behind else mark, f"there are {_ALLOWED}")
+            if behind and behind[1] in FUNCTIONS:
+                hint = f"arguments stand in round brackets, {behind[1]}(...)"
             raise _error(text, f"{mark!r} at column {at + 1} is not allowed: {hint}")
         kind, part = str(token.lastgroup), token[0]
         if kind == "name":
