@@ -27,7 +27,7 @@ from bayeq.numerics.distributions import Z95
 # moves the end of an interval by an eighth, is followed each way until it is lower by LOW, or for MOST fits. The first
 # step is a standard deviation, and steps double while the likelihood changes by less than BENT; intervals over which it
 # changes by more than STEEP are halved, at most MOST times.
-FAR, BENT, STEEP, LOW, MOST = 2.0, 0.5, 1.5, 5.0, 10
+FAR, BENT, STEEP, LOW, MOST = 2.0, 0.5, 1.5, 5.0, 6
 
 # Number of places at which the likelihood is interpolated, to see where an interval ends.
 PLACES = 400
