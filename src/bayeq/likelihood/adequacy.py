@@ -253,10 +253,11 @@ def gain_of(task: Task, state: State, c: int) -> float:
     held[len(state.levels.channels) + c] = True
 
     def value(levels: Levels) -> float:
-        other = replace(state, levels=levels)
-        found = task.marginal(other)
-        curved = corrections(task.layout, linears, adjoints(linears, levels, found, found.delta, curved=True))
-        bent = curved[state.chosen.chain, state.chosen.term]
+        other, bent = replace(state, levels=levels), None
+        if task.layout.roles.inputs:
+            found = task.marginal(other)
+            curved = corrections(task.layout, linears, adjoints(linears, levels, found, found.delta, curved=True))
+            bent = curved[state.chosen.chain, state.chosen.term]
         return task.marginal(other, False, bent).value - of_inputs(linears, levels)
 
     without = replace(state, levels=state.levels.with_discrepancy(c, 0.0))
