@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayeq.arrays import Bools, Floats
-from bayeq.dictionary.ranges import ConstantEstimate, Forms, constants_of, extent, to_scale
+from bayeq.dictionary.ranges import ConstantEstimate, Forms, constants_of
 from bayeq.expressions import Expression
 from bayeq.inference.collapsed.search import scores_of
 from bayeq.inference.gram import Gram, Standardised
@@ -34,7 +34,7 @@ from bayeq.likelihood.search import CLEARLY, Start, from_starts, resumed, search
 from bayeq.likelihood.spike import Nearly, Soft, among_fitted, among_neighbours, averaged, of_gram, soft_of
 from bayeq.likelihood.start import carried_over, series_and_paths, start_from, stretches
 from bayeq.likelihood.unequal import with_unequal_noise
-from bayeq.likelihood.unknowns import at_other_peaks, joint_covariance, moved, settled, with_constants
+from bayeq.likelihood.unknowns import at_other_peaks, distance, joint_covariance, moved, settled, with_constants
 from bayeq.numerics.rk4 import Interpolation
 from bayeq.numerics.settings import LIKELIHOOD
 from bayeq.states import Motion, Sensors
@@ -530,12 +530,11 @@ def _among_all_neighbours(pairs: Sequence[tuple[Task, Fitted]]) -> list[tuple[Ta
 
 def as_likely(task: Task, fitted: Fitted, others: Sequence[tuple[Task, Fitted]]) -> tuple[Mapping[str, float], ...]:
     """Values of constants in laws of hidden states, different from the fit's, at which others are nearly as likely."""
-    names, now, found = law_constants(task.layout.roles), constants_of(task.layout.terms), []
+    constants, found = constants_of(task.layout.terms), []
+    now = {name: constants[name].value for name in law_constants(task.layout.roles)}
     for there, other in others:
-        values = {name: constants_of(there.layout.terms)[name].value for name in names}
-        places = [(now[name], value) for name, value in values.items()]
-        apart = [abs(to_scale(one, value) - to_scale(one, one.value)) / extent(one) for one, value in places]
-        if other.evidence > fitted.evidence - CLEARLY and max(apart, default=0.0) > APART:
+        values = {name: constants_of(there.layout.terms)[name].value for name in now}
+        if other.evidence > fitted.evidence - CLEARLY and distance(constants, now, values) > APART:
             found.append(values)
     return tuple(found)
 

@@ -232,20 +232,18 @@ def at_other_peaks(
         tried = [one for one in by_rows(task, motion, family) if one != now]
         here, *nodes = on_gram(task, fitted, family, [now, *tried])
         for node in sorted(_peaks(tried, nodes), key=lambda one: -one.score):
-            if node.score > here.score - CLOSE and _distance(constants, now, node.values) > apart:
+            if node.score > here.score - CLOSE and distance(constants, now, node.values) > apart:
                 with suppress(np.linalg.LinAlgError):
                     other, best = moved(*settle(*start_at(motion, task, fitted, node)), motion)
                     found = {name: constants_of(other.layout.terms)[name].value for name in now}
-                    if _distance(constants, now, found) > apart:
+                    if distance(constants, now, found) > apart:
                         yield found, best
 
 
-def _distance(constants: Mapping[str, Unknown], one: Mapping[str, float], other: Mapping[str, float]) -> float:
-    """Largest distance of the values of a constant, as a share of its range on its scale."""
-    return max(
-        abs(to_scale(constants[name], one[name]) - to_scale(constants[name], other[name])) / extent(constants[name])
-        for name in one
-    )
+def distance(constants: Mapping[str, Unknown], one: Mapping[str, float], other: Mapping[str, float]) -> float:
+    """Largest distance of the values of a constant, as a share of its range on its scale; 0 without constants."""
+    places = [(constants[name], value, other[name]) for name, value in one.items()]
+    return max((abs(to_scale(c, a) - to_scale(c, b)) / extent(c) for c, a, b in places), default=0.0)
 
 
 def _exchanged(motion: Motion, task: Task, fitted: Fitted) -> Iterator[dict[str, float]]:

@@ -419,6 +419,9 @@ def _is_integral(records: Sequence[Record], cuts: Sequence[int], low: str, high:
     High differences are compared, so that offsets and drifts that were removed from the integral do not matter. A step
     of a sum or of a trapezoid is a combination of the two samples at its ends, that of an exact motion is not.
     """
+    whole = np.concatenate([record[high][:cut] for record, cut in zip(records, cuts, strict=True)])
+    if not _rough_noise([whole]) > ROUNDING_NOISE * float(np.nanstd(whole)):  # smooth channels are alike
+        return False
     steps, ends = [], []
     for record, cut in zip(records, cuts, strict=True):
         steps.append(np.diff(record[low][:cut], 1 + DIFFERENCES))
@@ -426,9 +429,7 @@ def _is_integral(records: Sequence[Record], cuts: Sequence[int], low: str, high:
         ends.append(np.column_stack([differences[:-1], differences[1:]]))
     y, Z = np.concatenate(steps), np.concatenate(ends)
     usable = np.isfinite(y) & np.isfinite(Z).all(axis=1)
-    whole = np.concatenate([record[high][:cut] for record, cut in zip(records, cuts, strict=True)])
-    # smooth channels are alike
-    if not _rough_noise([whole]) > ROUNDING_NOISE * float(np.nanstd(whole)) or usable.sum() < LEAST_STEPS:
+    if usable.sum() < LEAST_STEPS:
         return False
     y, Z = y[usable], Z[usable]
     left = y - Z @ np.linalg.lstsq(Z, y)[0]
