@@ -12,7 +12,7 @@ import numpy as np
 
 from bayeq.arrays import Floats, Ints
 from bayeq.kernels import kernel
-from bayeq.likelihood.filter import Filtered, Noise, close, combine, multiply, padded, rows_together
+from bayeq.likelihood.filter import Filtered, Noise, aligned, close, combine, multiply, padded, rows_together
 from bayeq.likelihood.linear import Linear
 
 # Eigenvalues of a matrix below this share of the largest are rounding errors.
@@ -44,6 +44,7 @@ class _Returning(NamedTuple):
     # information N
     work: Floats
     step: Floats  # (S, S), as in `_Running`
+    turned: Floats  # (2, S, padded S), likewise
     lines: Floats  # (4, W), work space of a sample
     innovation: Floats  # (rows, M, 1 + r), at the coefficients' mean, and its derivatives
     lasting: Ints  # (s,), states with a memory other than 1 or with random steps at samples
@@ -54,9 +55,10 @@ class _Returning(NamedTuple):
         """The recursion after the last sample; `scored` if derivatives by the noise are wanted."""
         size, channels = len(noise.memory), len(noise.channels)
         lasting = np.flatnonzero(scored & ((noise.memory != 1.0) | (noise.steps > 0.0)))
-        work, rows = np.zeros((2, size, padded(1 + r + size))), rows_together(channels, r)
-        lines, innovation = np.zeros((4, work.shape[2])), np.empty((rows, channels, 1 + r))
-        return cls(work, np.empty((size, size)), lines, innovation, lasting, np.empty((rows, len(lasting), r)))
+        work, rows = aligned(2, size, padded(1 + r + size)), rows_together(channels, r)
+        step, turned, lines = np.empty((size, size)), aligned(2, size, padded(size)), aligned(4, work.shape[2])
+        innovation, mean = np.empty((rows, channels, 1 + r)), np.empty((rows, len(lasting), r))
+        return cls(work, step, turned, lines, innovation, lasting, mean)
 
     def take(self, found: Filtered, rows: slice, delta: Floats, root: Floats) -> None:
         """Loads rows of a filtered record, with coefficients moved by `delta` and their covariance `root` `root`'."""
@@ -206,7 +208,7 @@ def _backward(
     kinds, leads, forces = linear.kinds, linear.leads, linear.discrepancy
     memory, added = noise.memory, noise.channels
     variance, gain, covariance = found.variance, found.gain, found.covariance
-    work, step, lines, innovation, lasting, mean = at
+    work, step, turned, lines, innovation, lasting, mean = at
     motion = linear.steps.motion
     by_channels, by_courses, by_memory, by_steps, _, deviation, smoothed, at_samples, between = out
     (n, size), start = path.shape, innovation.shape[2]
@@ -240,7 +242,7 @@ def _backward(
                     _curve_between(transition, covariance, k, work, now, start, linear.steps.discrete, lines)
                     for i in range(size):
                         between[k, c, i] = -0.5 * lines[2, i]
-            close(leads, step, work, now, lines, start)
+            close(leads, step, work, now, start, turned)
         if len(smoothed) > 0:
             _smooth(covariance, k, work, now, lines, start, smoothed)
         if len(at_samples) > 0:
