@@ -20,8 +20,9 @@ from bayeq.expressions.nodes import jumps_of
 from bayeq.likelihood import search
 from bayeq.likelihood.blur import blur_of
 from bayeq.likelihood.layout import Layout, Series
-from bayeq.likelihood.model import fit, from_all_levels, with_model
+from bayeq.likelihood.model import fit, from_all_levels, over_all_sizes, with_model
 from bayeq.likelihood.signs import half_of_jump, mean_of_jumps, unresolved_share
+from bayeq.likelihood.spike import among_neighbours
 from bayeq.numerics.settings import LIKELIHOOD
 from bayeq.states import Roles
 from bayeq.systems import get_system
@@ -233,6 +234,28 @@ def test_probabilities_are_those_about_the_likeliest_model_that_is_met(monkeypat
     assert one.included == ("x", "v", "x**3", "u")
     found = one.fit.regression.record
     assert found.likeliest == pytest.approx(found.fitted.evidence, abs=1e-9)
+
+
+def test_models_that_span_the_same_functions_are_compared_without_fits(monkeypatch):
+    """x and v, and either of them beside their sum, are one law: the Gram gives each the evidence of its fit."""
+    record, _, _ = duffing()
+    (one,) = quietly(record, **OSCILLATOR, dictionary="x, v, x+v, x**3, u", holdout=0)
+    found = one.fit.regression.record
+    task, best = among_neighbours(found.task, found.fitted)
+    fits = []
+    monkeypatch.setattr("bayeq.likelihood.spike.fit", lambda *given: fits.append(given) or fit(*given))
+    best = replace(best, tried={})
+    assert among_neighbours(task, best)[1] is best
+    others = {key: value for key, value in best.tried.items() if key != best.model.tobytes()}
+    assert len(others) >= 2
+    fitted = {task.model(state.chosen).tobytes() for _, state in fits}
+    same = [key for key in others if key not in fitted]
+    assert len(same) == 2
+    for key in same:
+        model = np.frombuffer(key, dtype=np.bool_)
+        own = over_all_sizes(task, fit(task, with_model(task, best, model)), best)
+        assert others[key] == pytest.approx(own.evidence, abs=0.02)
+    assert one.verdict.kind == "found"
 
 
 @pytest.mark.parametrize(("damping_ratio", "seed"), [(0.004, 0), pytest.param(0.01, 0, marks=pytest.mark.slow)])

@@ -221,6 +221,10 @@ class Fitted:
         """The likelihood of all candidates about the fit, computed when it is first asked for."""
         return self.expand().raised(self.power)
 
+    def raised(self, power: float) -> Fitted:
+        """The fit with its likelihood raised to another power."""
+        return self if power == self.power else replace(self, power=power)
+
 
 def of_motion(task: Task, fitted: Fitted) -> float:
     """ln p(data, model) less the log likelihood of the samples of inputs: that of the motion, given the inputs."""

@@ -71,7 +71,7 @@ class RecordFit:
     @classmethod
     def of(cls, task: Task, fitted: Fitted) -> RecordFit:
         """The fit and posterior of the best model, after comparison with its neighbours where this is needed."""
-        fitted = replace(fitted, power=power_of(task, fitted))
+        fitted = fitted.raised(power_of(task, fitted))
         soft = soft_of(task, fitted)
         found = cls(task, fitted, *averaged(task, fitted, soft), fitted.evidence)
         if fitted.power == 1.0 and not max(found.nearly.exact) < LIKELIHOOD.nearly_true:
@@ -128,7 +128,7 @@ class RecordFit:
             if not (np.diagonal(other.quadratic.information) > 0.0).all():  # a hidden state that nothing depends on
                 raise np.linalg.LinAlgError("no information on some candidates")
             task, best = moved(self.task, other)
-            return replace(self, task=task, fitted=replace(best, power=self.fitted.power))
+            return replace(self, task=task, fitted=best.raised(self.fitted.power))
         except np.linalg.LinAlgError:  # it does not stay near the motion: keep the likelihood about the former model
             return replace(self, fitted=replace(self.fitted, model=model), own=False)
 

@@ -23,7 +23,7 @@ from bayeq.dictionary.ranges import constants_of, extent
 from bayeq.expressions import Expression, parse
 from bayeq.inference.bma import spike_slab_bma
 from bayeq.inference.collapsed.listing import ModelSet, list_models
-from bayeq.inference.collapsed.search import best_models, neighbours, scores_of
+from bayeq.inference.collapsed.search import Move, best_models, neighbours, scores_of
 from bayeq.inference.gram import Gram
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.adjoint import Adjoint, root_of
@@ -423,6 +423,22 @@ def _mixed(found: ModelSet, search: Soft, lines: dict[Sizes, float]) -> ModelSet
 # Most moves from a model to a neighbour.
 MOVES = 5
 
+# Columns whose squared correlation is nearer to 1 are the same up to rounding.
+SAME = 1e-9
+
+
+def _spans_the_same(information: Floats, chosen: Bools, move: Move) -> bool:
+    """Whether a model spans the same functions of the motion after a move: its likelihood is then that before."""
+    pair = [k for k in (move.leaves, move.enters) if k is not None]
+    rest = [k for k in np.flatnonzero(chosen).tolist() if k not in pair]
+    unit = 1.0 / np.sqrt(np.maximum(np.diagonal(information), np.finfo(np.float64).tiny))
+    A = information * unit[:, None] * unit
+    left = A[np.ix_(pair, pair)] - A[np.ix_(pair, rest)] @ solved(A[np.ix_(rest, rest)], A[np.ix_(rest, pair)])
+    needless = np.diagonal(left) < SAME
+    if len(pair) == 1 or needless.any():
+        return bool(needless.all())
+    return bool(left[0, 0] * left[1, 1] - left[0, 1] ** 2 < SAME * left[0, 0] * left[1, 1])
+
 
 def among_neighbours(task: Task, best: Fitted, fewer: bool = False) -> tuple[Task, Fitted]:
     """The best model reached by single moves, each judged by its own fit with its own constants.
@@ -432,6 +448,7 @@ def among_neighbours(task: Task, best: Fitted, fewer: bool = False) -> tuple[Tas
     if task.rows > MOST_TO_MOVE:
         return task, best
     constants = task.layout.has_constants
+    exact = not constants and task.flows is None
     tried = {best.model.tobytes(): best.evidence}
     for _ in range(MOVES):
         better = task, best
@@ -443,6 +460,9 @@ def among_neighbours(task: Task, best: Fitted, fewer: bool = False) -> tuple[Tas
         for move in moves[: LIKELIHOOD.neighbours]:
             model = task.wide(move.apply(chosen))
             if model.tobytes() in tried:
+                continue
+            if exact and move.gain < 0.0 and _spans_the_same(q.information, chosen, move):
+                tried[model.tobytes()] = best.evidence + move.gain
                 continue
             try:
                 fitted = over_all_sizes(task, fit(task, calmed(with_model(task, best, model))), best)
