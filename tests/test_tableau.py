@@ -119,8 +119,14 @@ def test_gains_of_flips_and_swaps_are_differences_of_evidence(seed):
     flips, swaps = np.empty(P), np.empty((P, P))
     flip_gains(p, T, flips)
     for i in np.flatnonzero(z):
-        swap_gains(p, T, i, swaps[i])
+        swap_gains(p, T, i, -np.inf, swaps[i])
     assert best_swap(p, T, -np.inf)[0] == swaps[z].max(initial=-np.inf)
+    least = float(np.random.default_rng(seed).normal(0.0, 20.0))
+    for i in np.flatnonzero(z):
+        some = np.empty(P)
+        assert swap_gains(p, T, i, least, some) >= (swaps[i] >= least).sum()
+        np.testing.assert_array_equal(some[some > -np.inf], swaps[i][some > -np.inf])
+        assert (swaps[i][some == -np.inf] < least).all()
     for j in range(P):
         other = z.copy()
         other[j] = not z[j]

@@ -98,7 +98,7 @@ def exchange_terms(p: Problem, T: Tableau, active: Bools, rng: np.random.Generat
     if len(candidates) == 0:
         return
     leaves = candidates[int(rng.random() * len(candidates))]
-    swap_gains(p, T, leaves, weight)
+    swap_gains(p, T, leaves, -math.inf, weight)
     top = max(0.0, weight.max())
     total = math.exp(-top)
     for j in range(terms):

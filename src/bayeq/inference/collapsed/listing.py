@@ -43,6 +43,8 @@ MOST_BYTES = 100_000_000
 # list; the inclusion probabilities given the other terms, averaged over the expanded models, are exact to 0.0005 after
 # half as many (200 and 2,000 correlated terms, against chains of 2,000 to 40,000 samples).
 MOST_MOVES = 2_000_000
+# As many swaps that a bound rules out take the time of one that is evaluated.
+CHEAPER = 10
 
 # Models less likely than the best by more nats count as having no mass.
 FORGET = 40.0
@@ -254,11 +256,11 @@ def _search(
             if i < 0:
                 flip_gains(p, T, gains)
                 _include(gains, current, spent, inclusion)
+                moves += terms
             elif current[i]:
-                swap_gains(p, T, i, gains)
+                moves += swap_gains(p, T, i, top - FORGET - scores[item], gains) + terms // CHEAPER
             else:
                 continue
-            moves += terms
             for j in range(terms):
                 value = scores[item] + gains[j]
                 if value < top - keep:

@@ -40,7 +40,7 @@ def _moves(p: Problem, active: Bools, window: float) -> tuple[Ints, Ints, Floats
             count += 1
     for i in range(terms):
         if active[i]:
-            swap_gains(p, T, i, gain)
+            swap_gains(p, T, i, -window, gain)
             for j in range(terms):
                 if gain[j] > -window:
                     out[count], into[count], gains[count] = i, j, gain[j]

@@ -38,6 +38,9 @@ LOOK = 16
 # A column counts as linearly dependent on earlier ones if less than this share of its variance is left given these.
 DEPENDENT = 1e-13
 
+# Nats by which the bound on the gain of a swap may be off by rounding.
+SLACK = 1e-6
+
 # Largest number of terms in a model.
 MOST_ACTIVE = 2048
 
@@ -271,20 +274,28 @@ def flip_gains(p: Problem, T: Tableau, out: Floats) -> None:
 
 
 @kernel
-def swap_gains(p: Problem, T: Tableau, i: int, out: Floats) -> None:
-    """Changes of the log posterior by swaps of active term i for each inactive one, into `out`; -inf if forbidden."""
+def swap_gains(p: Problem, T: Tableau, i: int, least: float, out: Floats) -> int:
+    """Changes of the log posterior by swaps of active term i for each inactive one, into `out`.
+
+    They are -inf if forbidden, and where they are less than `least` by a bound that takes no logarithm: -ln(1 - x) is
+    at most x/(1 - x), and a pivot at least 1/v_s. Returns the number of swaps that took logarithms.
+    """
     diagonal, partial, row, log_odds = T.diagonal, T.partial, T.row, p.log_odds
     own = T.rows[row[i]]
     floor, h, s, price = p.floor, p.h, max(diagonal[-1], p.floor), log_odds[i]
     without = max(s - partial[i] * partial[i] / diagonal[i], floor)
     first = -0.5 * math.log(abs(diagonal[i])) - h * math.log(without / s) - price
-    mean = partial[i] / diagonal[i]
+    mean, inverse, needed, count = partial[i] / diagonal[i], 1.0 / diagonal[i], least - first - p.half_log_slab, 0
     for j in range(len(out)):
+        out[j] = -math.inf
         if row[j] >= 0 or math.isinf(log_odds[j]) or math.isinf(price):
-            out[j] = -math.inf
-        else:
-            pivot = diagonal[j] - own[j] * own[j] / diagonal[i]
-            out[j] = first + data_gain(pivot, partial[j] - own[j] * mean, without, floor, h) + log_odds[j]
+            continue
+        pivot, rest = diagonal[j] - own[j] * own[j] * inverse, partial[j] - own[j] * mean
+        square = rest * rest
+        if (needed - log_odds[j] - SLACK) * (pivot * without - square) <= h * square or square >= pivot * without:
+            out[j] = first + data_gain(pivot, rest, without, floor, h) + log_odds[j]
+            count += 1
+    return count
 
 
 @kernel
@@ -294,7 +305,7 @@ def best_swap(p: Problem, T: Tableau, least: float) -> tuple[float, int, int]:
     gains = np.empty(len(T.partial))
     for a in range(T.size[0]):
         i = T.term[a]
-        swap_gains(p, T, i, gains)
+        swap_gains(p, T, i, best, gains)
         for j in range(len(gains)):
             if gains[j] > best:
                 best, best_i, best_j = gains[j], i, j
