@@ -182,18 +182,17 @@ def truncated(m: Floats, V: Floats, limits: Floats, s: float, h: float) -> tuple
     (array([-0.798]), array([[0.363]]))
     """
     unit = np.sqrt(np.diagonal(V))
+    outside = stdtr(2.0 * h, -np.abs(limits - m[:, None]) / unit[:, None] * np.sqrt(2.0 * h / s)).sum(axis=1)
+    doubtful = np.flatnonzero((m < limits[:, 0]) | (m > limits[:, 1]) | (outside > NEGLIGIBLE))
+    if not len(doubtful):
+        return m, s / (2.0 * h) * V
     m, V, limits = m / unit, V / np.outer(unit, unit), limits / unit[:, None]
-    outside = stdtr(2.0 * h, -np.abs(limits - m[:, None]) * np.sqrt(2.0 * h / s)).sum(axis=1)
-    beyond = (m < limits[:, 0]) | (m > limits[:, 1])
-    doubtful = np.flatnonzero(beyond | (outside > NEGLIGIBLE))
-    mean, total = m, s / (2.0 * h) * V
-    if len(doubtful):
-        turn, end, width = faced(m[doubtful], limits[doubtful])
-        turned = np.outer(turn, turn)
-        among, at = V[np.ix_(doubtful, doubtful)] * turned, turn * (m[doubtful] - end)
-        found = Orthants(at[None], among[None], np.array([s]), h, width[None])
-        first, second, variance = found.moments()
-        mean, total = carried(m, V, doubtful, end + turn * first[0], turned * second[0], float(variance[0]))
+    turn, end, width = faced(m[doubtful], limits[doubtful])
+    turned = np.outer(turn, turn)
+    among, at = V[np.ix_(doubtful, doubtful)] * turned, turn * (m[doubtful] - end)
+    found = Orthants(at[None], among[None], np.array([s]), h, width[None])
+    first, second, variance = found.moments()
+    mean, total = carried(m, V, doubtful, end + turn * first[0], turned * second[0], float(variance[0]))
     return unit * mean, total * np.outer(unit, unit)
 
 
