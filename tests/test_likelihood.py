@@ -236,6 +236,22 @@ def test_probabilities_are_those_about_the_likeliest_model_that_is_met(monkeypat
     assert found.likeliest == pytest.approx(found.fitted.evidence, abs=1e-9)
 
 
+def test_steps_between_samples_are_as_fine_as_noise_lets_errors_be_seen():
+    dictionary = "x, v, u"
+    noisy, exact = (
+        quietly(bq.simulate("linear", n=1000, fs=500.0, seed=1, noise=noise), **OSCILLATOR, dictionary=dictionary)
+        for noise in (0.05, 0.0)
+    )
+    tasks = [eq[0].fit.regression.record.task for eq in (noisy, exact)]
+    assert tasks[0].substeps < tasks[1].substeps
+    # the error of a step, of the order h^4, has no effect beside the noise
+    twice = replace(tasks[0], substeps=2 * tasks[0].substeps)
+    state = noisy[0].fit.regression.record.fitted.state
+    theta = [fit(task, state).state.theta for task in (tasks[0], twice)]
+    sd = noisy[0].posterior.sd[noisy[0].posterior.support]
+    assert np.abs(theta[0] - theta[1])[: len(sd)] == pytest.approx(np.zeros(len(sd)), abs=0.05 * sd.min())
+
+
 def test_models_that_span_the_same_functions_are_compared_without_fits(monkeypatch):
     """x and v, and either of them beside their sum, are one law: the Gram gives each the evidence of its fit."""
     record, _, _ = duffing()

@@ -30,6 +30,7 @@ from bayeq.likelihood.fit import (
     solved,
 )
 from bayeq.likelihood.layout import Candidates, Layout, Series
+from bayeq.likelihood.levels import Levels
 from bayeq.likelihood.linear import Linear
 from bayeq.likelihood.steps import Flows
 from bayeq.numerics.settings import LIKELIHOOD
@@ -70,8 +71,9 @@ FLAT = 0.5
 
 # Integration steps are halved, up to MOST_SUBSTEPS an interval, until the share SMOOTH_STEPS of the intervals errs by
 # at most STEP_ERROR of the standard deviation of each state, a tenth of the least noise: a larger error looks like a
-# term if there is no noise. The other intervals may contain a jump.
-MOST_SUBSTEPS, SMOOTH_STEPS, STEP_ERROR = 8, 0.98, 1e-6
+# term if there is no noise. With more noise it may be HIDDEN of what the noise of all rows hides. The other intervals
+# may contain a jump.
+MOST_SUBSTEPS, SMOOTH_STEPS, STEP_ERROR, HIDDEN = 8, 0.98, 1e-6, 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,16 +188,31 @@ class Task:
         return Problem.of(self.gram(q), self.selected)
 
 
+def _step_errors(task: Task, levels: Levels) -> Floats:
+    """Errors of each state of the motion, (motion,), that a step between samples may make.
+
+    An error e of each step of length h acts as an error e/h of the state's rate, which n rows with noise of a share s
+    of each channel hide up to about s/sqrt(n) of the rate's standard deviation.
+    """
+    layout, scales, motion = task.layout, levels.scales, task.layout.motion
+    spread, rate = np.sqrt(scales.variance[:motion]), np.sqrt(scales.variance[1 : motion + 1])
+    integrated = np.array([chain.order > 0 for chain in layout.roles.chains])
+    rate[layout.last[integrated]] = np.sqrt(levels.target[integrated])
+    interval, rows = min(np.median(one.intervals) for one in task.series), sum(len(one.samples) for one in task.series)
+    share = (levels.channels / scales.channels)[: layout.first_input].min() / rows
+    return np.asarray(np.maximum(STEP_ERROR * spread, HIDDEN * np.sqrt(share) * interval * rate))
+
+
 def finer(task: Task, state: State) -> Task:
     """The task with as many Runge-Kutta steps between samples as its motion, and the columns of its terms, need."""
-    spread = np.sqrt(state.levels.scales.variance[: task.layout.motion])
+    allowed = _step_errors(task, state.levels)
     while task.substeps < MOST_SUBSTEPS and task.layout.motion and not task.layout.discrete:
         twice = replace(task, substeps=2 * task.substeps)
         pairs = list(zip(task.linearised(state), twice.linearised(state), strict=True))
         ends = [np.abs(a.end - b.end)[:, : task.layout.motion] for a, b in pairs]
         parts = [np.abs((a.sources - b.sources) * state.theta).max(axis=2, initial=0.0) for a, b in pairs]
-        missed = np.maximum(np.concatenate(ends), np.concatenate(parts)) / spread
-        if np.quantile(np.where(np.isfinite(missed), missed, np.inf), SMOOTH_STEPS) <= STEP_ERROR:
+        missed = np.maximum(np.concatenate(ends), np.concatenate(parts)) / allowed
+        if np.quantile(np.where(np.isfinite(missed), missed, np.inf), SMOOTH_STEPS) <= 1.0:
             break
         task = twice
     return task
