@@ -96,6 +96,29 @@ def test_a_clipped_channel_is_found(duffing, name):
     assert found(clipped) == {name: {"clipped": np.flatnonzero(np.abs(duffing[name]) >= peak).tolist()}}
 
 
+@pytest.mark.parametrize("chain", ["x:v:a", "x::", "::a"])
+@pytest.mark.parametrize("shape", ["square", "trapezoid", "limited"])
+def test_a_force_at_the_limit_of_its_actuator_is_kept_and_one_beyond_its_sensor_is_not(shape, chain):
+    t = np.arange(3000) / 1000.0
+    force = {
+        "square": 50.0 * np.tanh(np.sin(14.0 * t) / 0.03),
+        "trapezoid": 50.0 * np.clip(3.0 * np.sin(14.0 * t + 0.2), -1.0, 1.0),
+        "limited": bq.simulate("duffing", n=3000, seed=3, noise=0.0)["u"],
+    }[shape]
+    limit = 0.4 * np.abs(force).max() if shape == "limited" else np.inf
+    noise = {"x": 0.02, "v": 0.02, "a": 0.02, "u": 0.0}
+    for sensor in (False, True):
+        if sensor and (shape != "limited" or chain == "::a"):
+            continue
+        record = bq.simulate(
+            "duffing", n=3000, seed=3, noise=noise, force=force if sensor else np.clip(force, -limit, limit)
+        )
+        seen = record.with_channels({"u": np.clip(record["u"], -limit, limit)})
+        assert np.mean(np.abs(seen["u"]) >= 0.999 * np.abs(seen["u"]).max()) > 0.1
+        marked = np.flatnonzero(np.abs(force) >= limit).tolist()
+        assert found(seen, roles(chain, ["u"])) == ({"u": {"clipped": marked}} if sensor else {})
+
+
 def test_an_input_is_shut_at_zero_and_a_state_is_clipped_there(duffing):
     valve = duffing.with_channels({"u": np.maximum(duffing["u"], 0.0)})
     assert found(valve) == {}

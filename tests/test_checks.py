@@ -193,6 +193,8 @@ def test_gains_that_the_units_state_are_no_mistake():
     (finding,) = bq.check_record(undeclared, CHAIN, ["u"])
     assert finding.channels[0] == "v"
     assert "v is 0.001 times dx/dt" in finding.message
+    unknown = bq.Record(mm.channels, mm.time, units={"x": "mm", "a": "g"})  # the units of x and a agree
+    assert [one.channels[0] for one in bq.check_record(unknown, CHAIN, ["u"])] == ["v"]
     force = bq.Record(record.channels, record.time, units={"x": "m", "v": "N"})
     assert bq.check_record(force, CHAIN, ["u"]) == []
 

@@ -162,7 +162,8 @@ def check_messages(
     """One sentence for each kind of finding and channel, even if several records show it.
 
     A lead of half a sample is not reported for `stepping` channels, such as an acceleration under an input held between
-    samples. With `drifting`, offsets and drifts are estimated later and not reported.
+    samples. With `drifting`, offsets and drifts are estimated later and not reported. Neither is an input at an
+    extreme: an actuator may end there, and where it is clipped instead its samples are left out, and this is said.
     """
     found: dict[tuple[str, tuple[str, ...]], list[str]] = {}
     several = len(records) > 1
@@ -173,7 +174,7 @@ def check_messages(
             if finding.channels[0] in stepping and abs(late + 0.5) < RECORDS.least_delay:
                 continue
             shifted, message = finding.kind in ("offset", "drift"), finding.message
-            if shifted and drifting:
+            if (shifted and drifting) or (finding.kind == "clipping" and finding.channels[0] in inputs):
                 continue
             if shifted and several and record.fs is not None:  # offsets may differ between records
                 band = f"{record.fs / record.n:.1g}:{in_digits(0.5 * record.fs, 3)}"
@@ -303,7 +304,12 @@ def _signs(
 
 def _gains(record: Record, measured: Sequence[tuple[int, str]], links: Sequence[Relation]) -> Iterator[Finding]:
     # gains implied by the units: with x in mm, v in m/s is a thousandth of dx/dt
-    stated = [stated_gain(record.units, p, q, high - low) or 1.0 for (low, p), (high, q) in pairwise(measured)]
+    (lowest, first), known = measured[0], [1.0]
+    for (low, p), (high, q) in pairwise(measured):
+        # a channel between them may have no unit
+        beside = stated_gain(record.units, p, q, high - low) or 1.0
+        known.append(stated_gain(record.units, first, q, high - lowest) or known[-1] * beside)
+    stated = [after / before for before, after in pairwise(known)]
     if counts_rows(record):
         (low, p), (high, q) = measured[:2]
         rate = (links[0].gain / stated[0]) ** (1.0 / (high - low))
@@ -512,7 +518,8 @@ def _often(values: Floats) -> bool:
 def _clipped(name: str, values: Floats, shut: bool) -> Iterator[Finding]:
     for one in clipped_levels(values, shut):
         at = f"{one.samples:d} samples at its {one.which} value {one.level:.4g}, {one.longest:d} in a row"
-        yield Finding("clipping", (name,), f"{name} is clipped: {at}; measure in a wider range", one.level)
+        message = f"{name} is {'limited or ' * shut}clipped: {at}; use a wider range"
+        yield Finding("clipping", (name,), message, one.level)
 
 
 def _repeated(name: str, values: Floats, shut: bool) -> Iterator[Finding]:

@@ -24,6 +24,7 @@ from bayeq.records.record import without_samples
 from bayeq.states.kinematic.chain_smoother import series_of
 from bayeq.states.kinematic.fit import fit_kinematic
 from bayeq.states.kinematic.smoother import ChainSeries, KinematicModel, leave_one_out, one_sided, smooth_kinematic
+from bayeq.states.limits import FEW, Inputs, is_clipped
 from bayeq.states.roles import Chain, Roles
 from bayeq.states.sensors import unit_gains
 
@@ -116,6 +117,7 @@ def find_bad_samples(
     inputs = [_Group(chosen, (name,), is_input=True).searched(learned) for name in roles.inputs]
     chains = [_Group.of_chain(chosen, chain, learned).searched(learned) for chain in roles.chains]
     _keep_answered(inputs, chains)
+    _keep_limits(inputs, chains, learned)
     for group in (*inputs, *chains):
         for i, kinds in zip(timed, group.bad, strict=True):
             for k, name in enumerate(group.names):
@@ -191,6 +193,12 @@ class _Group:
     def spikes(self) -> list[Bools]:
         return [kinds["spikes"] for kinds in self.bad]
 
+    @property
+    def without_bad(self) -> list[ChainSeries]:
+        """The series without their bad samples."""
+        marked = (np.any(list(kinds.values()), axis=0) for kinds in self.bad)
+        return [s.without(bad) for s, bad in zip(self.series, marked, strict=True)]
+
     @classmethod
     def of_chain(cls, records: Sequence[Record], chain: Chain, learned: Learned) -> _Group:
         """A chain from its lowest measured derivative on, in consistent units, which are estimated without spikes."""
@@ -262,6 +270,20 @@ def _keep_answered(inputs: Sequence[_Group], chains: Sequence[_Group]) -> None:
             for place in places:
                 if unseen or answered[place].any():
                     spikes[place] = False
+
+
+def _keep_limits(inputs: Sequence[_Group], chains: Sequence[_Group], learned: Learned) -> None:
+    """Unmark extremes of inputs at which an actuator has reached its limit: no chain shows that a sensor is clipped."""
+    moving = [(chain, learned.models[chain.names]) for chain in chains if chain.names in learned.models]
+    for k, group in enumerate(inputs):
+        extremes = [kinds["clipped"][:, 0] for kinds in group.bad]
+        if not moving or np.concatenate(extremes).mean() <= FEW:
+            continue
+        columns = [np.column_stack([own.series[i].samples[:, 0] for own in inputs]) for i in range(len(extremes))]
+        driven = [Inputs(u[:, k], at, np.delete(u, k, axis=1)) for u, at in zip(columns, extremes, strict=True)]
+        if not any(is_clipped(driven, chain.without_bad, model) for chain, model in moving):
+            for at in extremes:
+                at[:] = False
 
 
 def _is_noise(values: Floats) -> bool:
