@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.signal import butter, filtfilt
+from scipy.signal import butter, filtfilt, lfilter
 
 import bayeq as bq
 from bayeq.equation.brief import brief
@@ -133,6 +133,34 @@ def test_a_law_that_is_nearly_true_names_the_channel_that_is_off(off, words):
     answer = quietly(record, gain_sd=None, dictionary=list(TRUE))
     assert answer.verdict.kind == "nearly true"
     assert re.search(words, answer.verdict.advice), answer.verdict
+
+
+@pytest.mark.parametrize("factor", [1.01, 0.99])
+def test_a_wrong_sampling_rate_is_named_and_no_channel_is_blamed(factor):
+    clean = bq.simulate("duffing", n=2000, seed=6, noise=0.02)
+    record = replace(clean, time=factor * clean.time)
+    advice = quietly(record, gain_sd=None, dictionary=list(TRUE)).verdict.advice
+    assert re.search(rf"the sampling rate may be (1|0.9\d*|1.0\d*) % too {'low' if factor > 1.0 else 'high'}", advice)
+
+
+@pytest.mark.parametrize("name", ["x", "a"])
+def test_of_two_channels_either_may_be_off(name):
+    clean = bq.simulate("duffing", n=2000, seed=6, noise=0.02)
+    record = clean.with_channels({name: 0.97 * clean[name]}, clean.units)
+    answer = quietly(record, chains="x::a", gain_sd=None, dictionary=[term.replace("v", "dx") for term in TRUE])
+    other = "a" if name == "x" else "x"
+    assert answer.verdict.kind == "nearly true"
+    for words in (f"{name} .* too small", f"{other} .* too large", "sampling rate"):
+        assert re.search(words, answer.verdict.advice), answer.verdict
+
+
+def test_a_channel_that_is_coupled_ac_is_not_only_called_early():
+    clean = bq.simulate("duffing", n=4000, seed=6, noise=0.01)
+    record = clean.with_channels({"u": lfilter(*butter(1, 1.0, "high", fs=1000.0), clean["u"])}, clean.units)
+    advice = quietly(record, gain_sd=None, dictionary=list(TRUE)).verdict.advice
+    assert re.search(r"u may be (0.00\d+ s early, or )?AC-coupled \(a high-pass at (0.[89]|1.?)\d* Hz\)", advice), (
+        advice
+    )
 
 
 def test_channels_that_were_filtered_are_named_with_a_band_by_which_the_law_is_found():

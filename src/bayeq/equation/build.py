@@ -253,7 +253,7 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
     late = _late(equation, regression.motion) if verdict.kind != "found" else None
     suspect = late or regression.suspect
     # what a small lag leaves goes with a slope, and so seems to be a quarter of a period late: the likelihood knows it
-    if regression.suspect is not None and regression.suspect.off == "lag":
+    if regression.suspect is not None and regression.suspect.off in ("lag", "high-pass"):
         suspect = regression.suspect
     if suspect is not None and (late or verdict.kind in ("nearly true", "found") or verdict.advice == LONGER):
         seconds = [float(np.ptp(rows.time)) for rows in regression.motion.train if rows.time is not None]
@@ -391,7 +391,7 @@ def _late(equation: Equation, motion: Motion) -> Suspect | None:
     channels = motion.roles.channels
     if driver is None or driver.name not in channels or len(channels) < 2 or time is None or motion.roles.discrete:
         return None
-    if not driver.lag or driver.correlation**2 <= 0.5:
+    if not driver.lag or driver.correlation**2 <= 0.5 or driver.name in motion.sensors.lags:  # learned
         return None
     return Suspect(driver.name, "lag", -driver.lag * float(np.median(np.diff(time))))
 

@@ -136,6 +136,8 @@ def suspecting(verdict: Verdict, found: Suspect, seconds: float) -> Verdict:
     digit, much = 10.0 ** math.floor(math.log10(size)), "large" if above else "small"
     prior = f"{name}={math.ceil(size / digit) * digit:.1g}"
     off, remedy = {
+        "high-pass": (f"{name} may be AC-coupled (a high-pass at {size:.2g} Hz)", "couple it DC, or undo that"),
+        "rate": (f"the sampling rate may be {in_digits(100 * size)} % too {'low' if above else 'high'}", "check it"),
         "lag": (f"{name} may be {size:.2g} s {'late' if above else 'early'}", f"--lag-sd {prior} learns that"),
         "factor": (f"{name} may be {in_digits(100 * size)} % too {much}", f"--gain-sd {prior} learns that"),
         "offset": (
@@ -147,6 +149,15 @@ def suspecting(verdict: Verdict, found: Suspect, seconds: float) -> Verdict:
             f"--band {1.0 / seconds:.1g}:{in_digits(size, 3)} allows for that",
         ),
     }[found.off]
+    for other in found.as_well:
+        share = f"{in_digits(100 * abs(other.value))} %"
+        off += {
+            "factor": f", or {other.channel} {share} too {'large' if other.value > 0.0 else 'small'}",
+            "rate": f", or the sampling rate {share}",
+            "high-pass": f", or AC-coupled (a high-pass at {other.value:.2g} Hz)",
+        }[other.off]
+    if found.as_well and found.off == "factor":
+        remedy = "check which, --gain-sd learns one"
     if verdict.kind == "none":
         return replace(verdict, advice=f"{off}: {remedy}")
     advice = f"{CAREFUL}: {off}: {remedy}"

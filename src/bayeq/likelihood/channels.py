@@ -33,6 +33,10 @@ from bayeq.states.sensors import bridged
 # 6, sensors that are off exceed 14: `tests/test_gains.py`) and changes its samples by more than a share of their sd.
 SUSPECTED, AS_SAID = 8.0, 1e-3
 
+# Errors of channels are the same if one explains all but this share of what the other does: of two channels a factor of
+# either (1e-4), and not of three (0.3).
+SAME = 0.02
+
 # An estimated factor or lag contradicts what was stated of the channel beyond this many stated standard deviations.
 CONTRADICTED = 4.0
 
@@ -64,17 +68,20 @@ def calibration_of(task: Task, state: State, power: float = 1.0) -> Calibration:
     return Calibration(gains, covariance * np.outer(taken, taken), moved)
 
 
-Off = Literal["factor", "lag", "offset", "filter"]
+Off = Literal["factor", "lag", "offset", "high-pass", "filter", "rate"]
 
 
 class Suspect(NamedTuple):
-    """A channel whose factor, lag or offset would explain much of the residual, or that was low-pass filtered."""
+    """A channel whose factor, lag, offset or AC coupling would explain much of the residual, or that was low-pass
+    filtered; or the sampling rate, under the name of the channel that it changes most."""
 
     channel: str
     off: Off
-    # factor less 1, lag [s], offset [unit of the channel], or, if filtered, frequency [Hz] above which noise is missing
+    # factor less 1, of a channel or of the rate; lag [s], offset [unit of the channel], corner of the coupling [Hz], or
+    # frequency [Hz] above which a filter left no noise
     value: float
     sds: float = 0.0  # size of `value` in standard deviations
+    as_well: tuple[Suspect, ...] = ()  # others that explain about as much
 
 
 def suspects_of(task: Task, state: State, here: Statistics) -> tuple[Suspect, ...]:
@@ -84,6 +91,7 @@ def suspects_of(task: Task, state: State, here: Statistics) -> tuple[Suspect, ..
     open_to: dict[Off, set[str]] = {"factor": compared, "lag": compared.union(layout.roles.inputs)}
     if not layout.drift:
         open_to["offset"] = compared.difference(name for name in lowest if name)
+    open_to["high-pass"] = open_to["lag"]
     learned: list[tuple[int, Off, float, float]] = [
         *((i, "factor", gain.value - 1.0, gain.prior_sd) for i, gain in layout.uncertain),
         *((i, "lag", lag.value, lag.prior_sd) for i, lag in layout.late),
@@ -103,17 +111,34 @@ def suspects_of(task: Task, state: State, here: Statistics) -> tuple[Suspect, ..
     if not sought or layout.discrete:
         return tuple(out)
     found = _directions(task, state, here, sought)
+    orders = {name: order for chain in layout.roles.chains for order, name in enumerate(chain.measured) if name}
+    factors = [orders.get(layout.channels[i][0], 0) * (off == "factor") for i, off in sought]
+    if max(factors) and not any(off == "factor" for _, off in known):
+        # at another rate a velocity has another factor, and an acceleration its square: this may explain factors
+        found, sought = found.beside(np.array(factors)), [*sought, (sought[int(np.argmax(factors))][0], "rate")]
     squares = np.maximum(np.diagonal(found.information), np.finfo(np.float64).tiny)
-    values = found.slope / squares
+    values, named = found.slope / squares, dict[int, Suspect]()
     for k in np.flatnonzero(np.abs(values) * found.shares > AS_SAID).tolist():
         # noise that is not white makes the slope less certain: by how much, the scores of the corrected channel show
         change, (i, off) = found.changes[..., k], sought[k]
         scores = (change * (found.left - values[k] * change)).sum(axis=1, keepdims=True) / np.sqrt(squares[k])
         excess, _ = excess_of(np.split(scores, found.ends))
         sds = abs(float(found.slope[k])) / np.sqrt(squares[k] * max(excess, 1.0))
-        if sds > SUSPECTED:
-            out.append(Suspect(layout.channels[i][0], off, float(values[k]), float(sds)))
-    return tuple(out)
+        name, value = layout.channels[i][0], float(values[k])
+        if off == "high-pass":  # to which a channel seems early
+            value /= 2.0 * np.pi
+            seems = value > 0.0 and any(one[:2] == (name, "lag") and one.value < 0.0 for one in named.values())
+        else:
+            seems = off != "rate" or any(one.off == "factor" for one in named.values())
+        if sds > SUSPECTED and seems:
+            named[k] = Suspect(name, off, value, float(sds))
+    alike = {k: one for k, one in named.items() if one.off in ("factor", "rate")}
+    for k, one in named.items():
+        as_well = [other for m, other in alike.items() if m != k and k in alike and found.same(k, m)]
+        if one.off == "lag":  # in a narrow band they are the same
+            as_well += [other for other in named.values() if other[:2] == (one.channel, "high-pass")]
+        named[k] = one._replace(as_well=tuple(as_well))
+    return (*out, *named.values())
 
 
 class _Directions(NamedTuple):
@@ -125,6 +150,21 @@ class _Directions(NamedTuple):
     information: Floats  # (G, G), on the errors
     slope: Floats  # (G,), derivative of the log likelihood by the errors
     shares: Floats  # (G,), change of the channel by a unit of each error, as a share of its standard deviation
+
+    def same(self, k: int, m: int) -> bool:
+        """Whether two errors change the record alike, or in opposite ways."""
+        own, other, both = self.information[k, k], self.information[m, m], self.information[k, m]
+        return bool(own * other - both**2 < SAME * own * other)
+
+    def beside(self, weights: Floats) -> _Directions:
+        """The directions, and the sum of them with these weights, (G,)."""
+        all_of = np.column_stack([np.eye(len(weights)), weights])
+        return self._replace(
+            changes=self.changes @ all_of,
+            information=all_of.T @ self.information @ all_of,
+            slope=self.slope @ all_of,
+            shares=np.append(self.shares, 1.0),
+        )
 
 
 def _directions(task: Task, state: State, here: Statistics, sought: Sequence[tuple[int, Off]]) -> _Directions:
@@ -141,6 +181,9 @@ def _directions(task: Task, state: State, here: Statistics, sought: Sequence[tup
                 seen -= linear.path[:, task.layout.drifts[i]]
             if off == "lag":
                 seen = -spline_slopes(time, seen[:, None])[:, 0]
+            if off == "high-pass":  # of a low corner: the signal less the corner, 2 pi f, times its integral
+                seen = seen - np.nanmean(seen)
+                seen = -np.append(0.0, np.cumsum(0.5 * (seen[1:] + seen[:-1]) * one.intervals))
             samples[:, i] += 1.0 if off == "offset" else seen
             square[k] += float(np.nansum(samples[:, i] ** 2))
             changed = run_filter(at_rest._replace(residual=samples), NOTHING, still)

@@ -94,7 +94,8 @@ def minimise(
             break
         fresh = np.eye(len(at)) * (float(np.linalg.norm(left)) / FIRST_STEP) if known is None else known
         step = box.direction(here, fresh if learnt is None else learnt)
-        step *= np.min(limit / np.maximum(np.abs(step), np.finfo(np.float64).tiny), initial=1.0)
+        with np.errstate(over="ignore"):  # of a step of 0
+            step *= np.min(limit / np.maximum(np.abs(step), np.finfo(np.float64).tiny), initial=1.0)
         there = _search(fun, box, here, step)
         if there is None and learnt is None:
             break
