@@ -71,7 +71,8 @@ class ModelSet:
 
         If the set leaves out more than that, they are `inclusion`, and known where the listed models agree with it.
         """
-        listed = np.minimum(shares(self.models, self.weights), 1.0)
+        # weights may sum to less than 1 by rounding
+        listed = np.where(self.models.all(axis=0), 1.0, np.minimum(shares(self.models, self.weights), 1.0))
         if self.left_out <= tolerance * (1.0 + 1e-9) or self.inclusion is None:
             return listed, np.full(len(listed), self.left_out <= tolerance * (1.0 + 1e-9))
         return self.inclusion, np.abs(self.inclusion - listed) <= tolerance
