@@ -104,3 +104,16 @@ def test_inputs_may_have_any_name(record: bq.Record, name: str) -> None:
     eq = bq.discover(bq.Record(channels, record.time), chains="x:v:a", inputs=[name], dictionary="oscillator:3")
     assert set(eq[0].shown) == {"x", "v", "x**3", name}
     assert eq.simulate(bq.Record(channels, record.time)).blew_up_at is None
+
+
+@pytest.mark.parametrize(
+    ("factors", "said"), [({"x": 1e3, "v": 1e3, "a": 1e3}, True), ({"u": 1e-3}, True), ({}, False)]
+)
+def test_records_in_different_units_are_noticed(factors, said):
+    first, second = (bq.simulate("linear", n=400, seed=seed) for seed in (1, 3))
+    scaled = {name: factors.get(name, 1.0) * second[name] for name in second.channels}
+    records = [first, bq.Record.from_arrays(scaled, time=second.time)]
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        bq.discover(records, chains="x:v:a", inputs="u", dictionary="x, v, u", smooth="none")
+    assert any("times between records: state their units" in str(one.message) for one in caught) == said

@@ -104,6 +104,17 @@ def test_sympy_and_text_are_the_same_equation(eq, pair):
     assert isinstance(pair.to_sympy(), list)
 
 
+def test_latex_writes_no_dots_over_channels_in_units_of_their_own():
+    r = bq.simulate("duffing", n=800, seed=3)
+    channels = {"x": 1e3 * r["x"], "v": r["v"], "a": r["a"] / 9.80665, "u": r["u"]}
+    mixed = bq.Record.from_arrays(channels, time=r.time, units={"x": "mm", "v": "m/s", "a": "g", "u": "N"})
+    found = bq.discover(mixed, chains="x:v:a", inputs="u", dictionary="x, v, x**3, u")
+    for latex in (found.to_latex(), found.to_dict()["equations"][0]["latex"], found.to_latex("brackets")):
+        assert latex.startswith("a = ")
+        assert "\\dot" not in latex
+        assert "\\ddot" not in latex
+
+
 def test_latex_writes_derivatives_as_dots(eq, pair):
     latex = eq.to_latex()
     assert latex.startswith(r"\ddot{x} = ")

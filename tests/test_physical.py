@@ -454,6 +454,28 @@ def test_the_inertia_of_a_shaft_is_none_of_a_mass():
 
 
 @pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
+def test_where_terms_are_in_doubt_intervals_of_parameters_are_those_over_models():
+    names = ("x", "v*abs(v)", "v**3", "u")
+    coef = {"x": -500.0, "v*abs(v)": -50.0, "v**3": 8.0, "u": 0.5}
+    p = replace(posterior(coef, names=names), pip=np.array([1.0, 1.0, 0.6, 1.0]))
+    ends = np.full((4, 2), np.nan)
+    ends[1] = -55.0, -20.0  # in other models without v**3
+    law = Law(parse_chain("x:v:a"), tuple(parse(name) for name in names), p)
+    certain, doubtful = (physical_parameters(one, ["u"], SI) for one in (law, law._replace(over_models=ends)))
+    low, high = doubtful["c2"].low, doubtful["c2"].high
+    assert (low, high) == pytest.approx((40.0, 110.0), rel=0.04)
+    assert (certain["c2"].low, certain["c2"].high) == pytest.approx((100.0, 100.0), rel=0.01)
+    for same in ("k", "m", "c3"):
+        assert (doubtful[same].low, doubtful[same].high) == pytest.approx((certain[same].low, certain[same].high))
+    assert doubtful["c3"].meaning == "cubic damping, in doubt"
+    assert doubtful["c2"].meaning == "quadratic damping"
+
+
+def test_printed_parameters_are_those_of_the_default_draws():
+    eq = bq.discover(bq.simulate("duffing", n=800, seed=5), **ROLES)
+    assert own_parameters(eq).quantities == eq.physical().quantities
+
+
 def test_why_there_are_no_parameters_is_said():
     t = np.arange(400) / 50.0
     channels = {"u": np.cos(3.0 * t) + 0.5 * np.cos(7.0 * t), "v": 2.0 * np.sin(3.0 * t) / 3.0 + np.sin(7.0 * t) / 7.0}

@@ -11,7 +11,7 @@ import numpy as np
 
 from bayeq.dictionary.families import degree
 from bayeq.equation.equation import Equation
-from bayeq.errors import AmbiguityWarning, DataWarning, TermWarning, WarningLog, some_of
+from bayeq.errors import AmbiguityWarning, DataWarning, TermWarning, WarningLog, in_digits, some_of
 from bayeq.expressions import Binary
 from bayeq.records import Record, counts_rows
 from bayeq.records.names import is_time_name
@@ -75,6 +75,27 @@ def warn_of_rates(records: Sequence[Record], roles: Roles, log: WarningLog) -> N
             if step is not None and (np.diff(record[name]) > 0.0).all():
                 log.warn(f"{name} rises by {step:.4g} s a row, and fs = {fs:g} was given: check fs", DataWarning)
                 return
+
+
+# From record to record the motion of a system per input, in resonance and out of it, differs by less than UNLIKE; where
+# units differ, either of the two differs by less than ALIKE.
+UNLIKE, ALIKE = 100.0, 10.0
+
+
+def warn_of_units(records: Sequence[Record], roles: Roles, log: WarningLog) -> None:
+    """Warn if a motion differs so much from record to record, and an input so little, or the other way round, that
+    units must differ."""
+    for chain, driver in itertools.product(roles.chains, roles.inputs):
+        name = next(filter(None, chain.measured), driver)
+        spreads = np.array([[np.nanstd(record[name]), np.nanstd(record[driver])] for record in records])
+        logs = np.log(spreads[(spreads > 0.0).all(axis=1)])
+        if len(logs) < 2:
+            continue
+        motion, force = logs[np.argmax(logs[:, 0] - logs[:, 1])] - logs[np.argmin(logs[:, 0] - logs[:, 1])]
+        if motion - force > math.log(UNLIKE) and min(abs(motion), abs(force)) < math.log(ALIKE):
+            ratio = in_digits(math.exp(motion - force))
+            log.warn(f"{name} per {driver} differs {ratio} times between records: state their units", DataWarning)
+            return
 
 
 def warn_of_zero(design: Design, records: Sequence[Record], log: WarningLog) -> None:

@@ -20,6 +20,7 @@ from bayeq.discovery.cautions import (
     warn_of_sensors,
     warn_of_sums,
     warn_of_terms,
+    warn_of_units,
     warn_of_zero,
 )
 from bayeq.discovery.laws import hidden_states, with_differences, without_hidden
@@ -306,6 +307,7 @@ class Question:
             log.extend(messages, DataWarning)
         motion = estimate_motion(pieces, roles, self.smooth, share, sensors, self.band)
         warn_of_rates(records, roles, log)
+        warn_of_units(records, roles, log)
         warn_of_sensors(motion, {*self.noise, *self.gain_sd, *self.lag_sd}, log)
         warn_of_blows(pieces, roles.inputs, sensors.noise, log)
         motion = self._calibrated(motion, pieces)

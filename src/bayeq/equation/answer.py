@@ -267,7 +267,8 @@ class Answer:
         aligned : bool
             Whether the lines stand in an ``aligned`` environment, equal signs below each other.
         """
-        lines = [equation.to_latex(uncertainty, self.chains) for equation in self.equations]
+        chains = [one.chain for one in self.equations if one.in_seconds]
+        lines = [equation.to_latex(uncertainty, chains) for equation in self.equations]
         if not aligned:
             return " \\\\\n".join(lines)
         body = " \\\\\n".join(line.replace(" = ", " &= ", 1) for line in lines)

@@ -302,10 +302,7 @@ def failed(equation: Equation) -> Iterator[str]:
     clipped = CLIPPED in str(equation.verdict)
     if found.normality < text.DOUBTFUL and found.kurtosis > 0.0 and not (equation.chain.static or clipped):
         yield "what is left has heavy tails: try --tails student"
-    # errors of an estimated derivative follow the motion: the tests behind the verdict say more
-    by_likelihood = equation.chain.measured[-1] is None or equation.likelihood_model is not None
-    tested = by_likelihood and (equation.verdict.kind == "found" or clipped)
-    if found.driver is not None and found.driver.p_value < text.DOUBTFUL and not tested:
+    if found.driver is not None and text.driven(equation):
         late = "" if equation.chain.discrete else f", or it is late: --lag-sd {found.driver.name}=SECONDS learns that"
         yield printable(f"what is left follows {found.driver.name}: a term with it may be missing{late}")
     yield from map(printable, (*text.forms_of(equation), *equation.at_ends))

@@ -58,7 +58,7 @@ class RunnerUp:
         return written.difference(self.enters, self.leaves)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Equation:
     """One equation: target = intercept + sum of coefficient x term.
 
@@ -182,6 +182,11 @@ class Equation:
         ends = own.coef[:, None] + Z95 * own.sd[:, None] * np.array([-1.0, 1.0])
         ci95 = cut(self.shown_posterior, ends)
         return replace(self.shown_model, coef=own.coef, sd=own.sd, ci95=ci95, covariance=None)
+
+    @property
+    def in_seconds(self) -> bool:
+        """Whether the units of the chain are those of derivatives by seconds: none of `unit_gains` is unlike 1."""
+        return bool(np.allclose(self.unit_gains, 1.0))
 
     @property
     def target(self) -> str:
@@ -399,6 +404,9 @@ class Equation:
 
         return sympy.Eq(sympy.Symbol(self.target), self._right_hand_side(rounded=False), evaluate=False)
 
+    def __repr__(self) -> str:
+        return f"<Equation: {self.text}>"
+
     def _repr_html_(self) -> str:
         """HTML for a notebook: the verdict, the equation and its terms."""
         p, ends = self.shown_posterior, self.printed_ci95
@@ -413,6 +421,9 @@ class Equation:
 
     def to_latex(self, uncertainty: Uncertainty = "none", chains: Sequence[Chain] = ()) -> str:
         r"""The equation in LaTeX, derivatives of the coordinate as dots: ``\ddot{x} = - 2.0 \dot{x} ...``.
+
+        Channels in units of their own, such as x in mm and a in g, are written by their names: dots would say another
+        law.
 
         Parameters
         ----------
@@ -430,7 +441,8 @@ class Equation:
 
         if uncertainty not in get_args(Uncertainty):
             raise InputError(f"uncertainty must be one of {', '.join(get_args(Uncertainty))}, got {uncertainty!r}")
-        symbols = written.in_latex((*chains, self.chain), {self.target}.union(*(term.names for term in self.terms)))
+        own = [self.chain] if self.in_seconds or self.chain.discrete else []
+        symbols = written.in_latex([*chains, *own], {self.target}.union(*(term.names for term in self.terms)))
         names = {sympy.Symbol(name): text for name, text in symbols.items()}
         if uncertainty == "none" or self.chain.stated:
             right = sympy.latex(self._right_hand_side(rounded=True), symbol_names=names)
@@ -441,7 +453,7 @@ class Equation:
                 text = "" if term is None else sympy.latex(factor, symbol_names=names)
                 parts.append((value, sd, rf"\left({text}\right)" if factor.is_Add or text[:1] == "-" else text))
             right = sum_in_latex(parts, uncertainty)
-        return f"{symbols[self.target]} = {right}"
+        return f"{symbols.get(self.target) or sympy.latex(sympy.Symbol(self.target))} = {right}"
 
     def _right_hand_side(self, rounded: bool) -> Any:
         import sympy

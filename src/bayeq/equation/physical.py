@@ -26,6 +26,7 @@ from bayeq.dictionary import evaluate_terms, slopes_of
 from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation
 from bayeq.equation.quantities import Mode, PhysicalParameters, Quantity, quantity
+from bayeq.equation.text import CERTAIN
 from bayeq.equation.written import OscillatorUnits, quotient_unit
 from bayeq.errors import InputError, some_of, whole_number
 from bayeq.expressions import Binary, Expression, Node, Number, Symbol, parse
@@ -55,8 +56,8 @@ FEW = 0.025
 # Endings of units with symbols that `in_si` does not know: an input with such a unit is no force.
 NO_FORCE = ("A", "V", "W", "Pa", "bar", "psi", "%")
 
-# Draws for the parameters that are printed with every answer.
-DRAWS = 2000
+# Draws for the parameters that are printed with every answer, and by default.
+DRAWS = 10_000
 
 # Most draws with eigenvalues, divided by the number of coordinates; least share of draws that must have as many
 # oscillating modes as the mean.
@@ -88,7 +89,7 @@ def oscillator_parameters(
             "physical parameters are per second, and time is not known: give the sampling rate (fs=, --fs)"
         )
     if target is None:
-        laws, second = [one.law for one in eq], [one.target for one in eq if one.chain.order == 2]
+        laws, second = [_with_doubt(one) for one in eq], [one.target for one in eq if one.chain.order == 2]
         if 1 < len(second) == len(laws) and mass is None and force is None:
             return system_parameters(laws, eq.inputs, eq.equations[0].units, draws=draws, seed=seed)
         if all(one.chain.order == 1 for one in eq):
@@ -111,10 +112,16 @@ def oscillator_parameters(
             f"the stiffness cannot be told: the verdict is {equation.verdict.kind!r}, and {name} is nowhere zero;"
             f" measure {name} from the position of rest (bayeq.remove_offset, --remove-offset {name})"
         )
-    law, without = equation.law, _fed_back(equation, [one for one in eq if one.chain.order == 1])
+    law, without = _with_doubt(equation), _fed_back(equation, [one for one in eq if one.chain.order == 1])
     return physical_parameters(
         law, eq.inputs, equation.units, mass=mass, force=force, span=span, without=without, draws=draws, seed=seed
     )
+
+
+def _with_doubt(equation: Equation) -> Law:
+    """The law with its intervals over models, of coefficients that depend on which terms are in the equation."""
+    unlike = equation.printed_over_models
+    return equation.law._replace(over_models=np.where(unlike[:, None], equation.printed_ci95, np.nan))
 
 
 def _fed_back(equation: Equation, others: Sequence[Equation]) -> list[str]:
@@ -160,7 +167,7 @@ def physical_parameters(
     force: str | None = None,
     span: tuple[float, float] | None = None,
     without: Sequence[str] = (),
-    draws: int = 10_000,
+    draws: int = DRAWS,
     seed: int = 0,
 ) -> PhysicalParameters:
     """Parameters of an oscillator given the included terms of its equation; see `bayeq.Equations.physical`.
@@ -190,9 +197,11 @@ def physical_parameters(
     if weight is not None:
         quantities.append(quantity("m", inertia, weight, system.mass()))
     per, each = ("", "") if weight is not None else ("/m", f" per unit of {'inertia' if system.turns else 'mass'}")
+    doubtful = {term.text for term, pip in zip(law.terms, law.posterior.pip.tolist(), strict=True) if pip < CERTAIN}
     for f in forces:
-        values = -theta[f.symbol] * (1.0 if weight is None else weight)
-        quantities.append(quantity(f.symbol + per, f.meaning + each, values, system.unit(f.powers, weight is not None)))
+        values, meaning = -theta[f.symbol] * (1.0 if weight is None else weight), f.meaning + each
+        meaning += ", in doubt" if f.term in doubtful else ""
+        quantities.append(quantity(f.symbol + per, meaning, values, system.unit(f.powers, weight is not None)))
     if position is not None:
         quantities.append(quantity("x0", "position of rest", position * system.per_length, system.displacement()))
     known = {q.symbol: q for q in quantities}
@@ -263,8 +272,18 @@ def _read(law: Law, draws: int, seed: int, span: tuple[float, float] | None) -> 
 
 
 def drawn_coefficients(law: Law, count: int, rng: np.random.Generator) -> tuple[Floats, dict[Expression, Floats]]:
-    """Draws of the intercept of a law and of the coefficient of each included term, (count,) each."""
-    constant, *columns = normal_draws(*moments(law.posterior), count, rng).T
+    """Draws of the intercept of a law and of the coefficient of each included term, (count,) each.
+
+    Both sides of a distribution are stretched to the ends of an interval over models.
+    """
+    mean, covariance = moments(law.posterior)
+    drawn = normal_draws(mean, covariance, count, rng)
+    if law.over_models is not None:
+        apart, sd = drawn[:, 1:] - mean[1:], np.sqrt(np.diagonal(covariance)[1:])
+        reach = np.abs(law.over_models[law.posterior.support] - mean[1:, None])
+        low, high = np.fmax(reach / (Z95 * sd)[:, None], 1.0).T
+        drawn[:, 1:] = mean[1:] + np.where(apart < 0.0, low, high) * apart
+    constant, *columns = drawn.T
     return constant, dict(zip(compress(law.terms, law.posterior.support), columns, strict=True))
 
 

@@ -15,7 +15,7 @@ from rich.table import Table
 from bayeq.dictionary.specification import split_at
 from bayeq.equation.answer import Answer
 from bayeq.equation.equation import Equation
-from bayeq.equation.verdict import LEAST_SHOWN
+from bayeq.equation.verdict import CLIPPED, LEAST_SHOWN
 from bayeq.equation.written import chance, moment, odds_text, plain_sd, round_to, with_interval
 from bayeq.errors import in_digits, printable
 from bayeq.forecast.score import Scores, percent, percentages
@@ -276,10 +276,19 @@ def _checks(equation: Equation, scores: Scores | None) -> Iterator[str]:
     )
     if left is not None:
         yield f"unexplained beside noise: {left} of the target's standard deviation"
-    if found.driver is not None and found.driver.p_value < DOUBTFUL:
+    if found.driver is not None and driven(equation):
         yield f"residuals: follow {found.driver} ({chance(found.driver.p_value)})"
-    elif found.driver is not None:
+    elif found.driver is not None and found.driver.p_value >= DOUBTFUL:
         yield "residuals: follow no input or state at any lag"
+
+
+def driven(equation: Equation) -> bool:
+    """Whether residuals follow an input or a state, and nothing that says more speaks against it."""
+    driver = equation.residuals.driver
+    # errors of an estimated derivative follow the motion: the tests behind the verdict say more
+    by_likelihood = equation.chain.measured[-1] is None or equation.likelihood_model is not None
+    tested = by_likelihood and (equation.verdict.kind == "found" or CLIPPED in str(equation.verdict))
+    return driver is not None and driver.p_value < DOUBTFUL and not tested
 
 
 def left_beside_noise(equation: Equation) -> str | None:

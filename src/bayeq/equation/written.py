@@ -407,7 +407,7 @@ def in_latex(chains: Sequence[Chain], names: Iterable[str]) -> dict[str, str]:
     """Coordinates and their derivatives in LaTeX, derivatives as dots; for maps the names with their steps."""
     import sympy
 
-    if chains[-1].discrete:
+    if any(chain.discrete for chain in chains):
         return {name: step_latex(name) for name in names}
     symbols: dict[str, str] = {}
     for chain in chains:

@@ -34,6 +34,8 @@ class Law(NamedTuple):
     terms: Sequence[Expression]  # all candidates
     posterior: Posterior  # says which of them are included
     unit_gains: Sequence[float] = ()  # of the chain's channels, see `bayeq.states.sensors`; empty where all are 1
+    # (P, 2), 95 % intervals over models where these are unlike those of the posterior, NaN elsewhere
+    over_models: Floats | None = None
 
 
 def solved_laws(laws: Sequence[Law]) -> list[Law]:

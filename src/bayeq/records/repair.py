@@ -30,7 +30,7 @@ SHORTEST_PIECE = 40
 SAMPLES = "samples"
 
 UNKNOWN_TIME = (
-    "time is not known: row numbers are used as time, and coefficients are per sample; give --fs or --time (fs=, time=)"
+    "time is not known: row numbers are used as time; give --fs or --time (in Python fs= or time= of the record)"
 )
 
 # Rows count as in order of time if the lag-1 autocorrelation of some channel exceeds this.

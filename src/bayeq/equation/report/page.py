@@ -390,8 +390,12 @@ def _equation(one: Equation, eq: Answer) -> dict[str, Any]:
     if one.chain.discrete:
         names = {name: step_mathml(name) for name in (*eq.states, *eq.inputs, one.target)}
     else:
-        chains = (chain.names for chain in eq.chains)
-        names = {name: symbol_mathml(own[0], dots) for own in chains for dots, name in enumerate(own)}
+        chains = [(other.chain.names, other.in_seconds) for other in eq.equations]
+        names = {
+            name: symbol_mathml(own[0], dots) if dotted else symbol_mathml(name)
+            for own, dotted in chains
+            for dots, name in enumerate(own)
+        }
     rows, rest = rows_of(one), 0
     if one.chain.stated:
         rows = rows[:-1]
@@ -411,7 +415,7 @@ def _equation(one: Equation, eq: Answer) -> dict[str, Any]:
         "symbols": {
             name: names[name]
             for k, name in enumerate(one.chain.names)
-            if k and name != "d" * k + one.chain.names[0] and not one.chain.discrete
+            if k and name != "d" * k + one.chain.names[0] and one.in_seconds and not one.chain.discrete
         },
         "text": one.text,
         "rows": rows,
