@@ -154,6 +154,21 @@ def test_of_two_channels_either_may_be_off(name):
         assert re.search(words, answer.verdict.advice), answer.verdict
 
 
+def test_rows_that_a_logger_lost_are_named_with_the_time():
+    clean = bq.simulate("duffing", n=3000, fs=300.0, seed=6, noise=0.01)
+    kept = np.delete(np.arange(3000), np.concatenate([np.arange(1200, 1203), np.arange(2100, 2103)]))
+    lost = bq.Record.from_arrays({name: clean[name][kept] for name in clean.channels}, fs=300.0)
+    for record, named in ((lost, True), (clean, False)):
+        for chain in ("x:v:a", "x::"):
+            terms = list(TRUE) if chain == "x:v:a" else [term.replace("v", "dx") for term in TRUE]
+            verdict = quietly(record, chains=chain, gain_sd=None, dictionary=terms).verdict
+            said = re.search(
+                r"rows seem to be lost, as after (4|3.99\d*|6.98\d*|6.99\d*) s: check the logger", str(verdict)
+            )
+            assert (said is not None) == named, verdict
+            assert (verdict.kind == "found") != named
+
+
 def test_a_channel_that_is_coupled_ac_is_not_only_called_early():
     clean = bq.simulate("duffing", n=4000, seed=6, noise=0.01)
     record = clean.with_channels({"u": lfilter(*butter(1, 1.0, "high", fs=1000.0), clean["u"])}, clean.units)

@@ -137,6 +137,7 @@ def suspecting(verdict: Verdict, found: Suspect, seconds: float) -> Verdict:
     prior = f"{name}={math.ceil(size / digit) * digit:.1g}"
     off, remedy = {
         "high-pass": (f"{name} may be AC-coupled (a high-pass at {size:.2g} Hz)", "couple it DC, or undo that"),
+        "lost": (f"rows seem to be lost, as after {size:.4g} s", "check the logger"),
         "rate": (f"the sampling rate may be {in_digits(100 * size)} % too {'low' if above else 'high'}", "check it"),
         "lag": (f"{name} may be {size:.2g} s {'late' if above else 'early'}", f"--lag-sd {prior} learns that"),
         "factor": (f"{name} may be {in_digits(100 * size)} % too {much}", f"--gain-sd {prior} learns that"),

@@ -26,7 +26,9 @@ from bayeq.likelihood.layout import NOTHING
 from bayeq.likelihood.model import Task
 from bayeq.numerics.distributions import excess_of
 from bayeq.numerics.spline import spline_slopes
+from bayeq.records.validate import EVEN
 from bayeq.states import Gain, Lag, Motion
+from bayeq.states.bad_samples import MEDIAN_NORMAL
 from bayeq.states.sensors import bridged
 
 # A channel is suspect if its factor, lag or offset is off by more standard deviations (laws that lack a term stay below
@@ -68,17 +70,17 @@ def calibration_of(task: Task, state: State, power: float = 1.0) -> Calibration:
     return Calibration(gains, covariance * np.outer(taken, taken), moved)
 
 
-Off = Literal["factor", "lag", "offset", "high-pass", "filter", "rate"]
+Off = Literal["factor", "lag", "offset", "high-pass", "filter", "rate", "lost"]
 
 
 class Suspect(NamedTuple):
     """A channel whose factor, lag, offset or AC coupling would explain much of the residual, or that was low-pass
-    filtered; or the sampling rate, under the name of the channel that it changes most."""
+    filtered; or, under the name of the channel that shows it most, a wrong sampling rate or rows that were lost."""
 
     channel: str
     off: Off
-    # factor less 1, of a channel or of the rate; lag [s], offset [unit of the channel], corner of the coupling [Hz], or
-    # frequency [Hz] above which a filter left no noise
+    # factor less 1, of a channel or of the rate; lag [s], offset [unit of the channel], corner of the coupling [Hz],
+    # frequency [Hz] above which a filter left no noise, or time from the start of a record to rows that were lost [s]
     value: float
     sds: float = 0.0  # size of `value` in standard deviations
     as_well: tuple[Suspect, ...] = ()  # others that explain about as much
@@ -110,6 +112,7 @@ def suspects_of(task: Task, state: State, here: Statistics) -> tuple[Suspect, ..
     ]
     if not sought or layout.discrete:
         return tuple(out)
+    out += lost_rows(task, state, here)
     found = _directions(task, state, here, sought)
     orders = {name: order for chain in layout.roles.chains for order, name in enumerate(chain.measured) if name}
     factors = [orders.get(layout.channels[i][0], 0) * (off == "factor") for i, off in sought]
@@ -139,6 +142,34 @@ def suspects_of(task: Task, state: State, here: Statistics) -> tuple[Suspect, ..
             as_well += [other for other in named.values() if other[:2] == (one.channel, "high-pass")]
         named[k] = one._replace(as_well=tuple(as_well))
     return (*out, *named.values())
+
+
+def lost_rows(task: Task, state: State, here: Statistics) -> list[Suspect]:
+    """A time at which rows of an evenly sampled record were lost, if any: all coordinates are then ahead at once.
+
+    Derivatives are not looked at: they may jump, with a force or in an impact.
+    """
+    layout, out = task.layout, list[Suspect]()
+    states = {chain.measured[chain.lowest] for chain in layout.roles.chains if chain.lowest < len(chain.measured) - 1}
+    which = [i for i, (name, _) in enumerate(layout.channels) if name in states]
+    if not which:
+        return out
+    for one, linear, found in zip(task.series, task.linearised(state), here.filtered, strict=True):
+        time, step = np.append(0.0, np.cumsum(one.intervals)), float(np.median(one.intervals))
+        if np.ptp(one.intervals) > EVEN * step:
+            continue
+        seen = np.column_stack([bridged(one.samples[:, i] - linear.residual[:, i]) for i in which])
+        variance = found.variance[:, which]
+        known = variance > 0.0
+        ahead = np.where(known, step * spline_slopes(time, seen) / np.sqrt(np.where(known, variance, 1.0)), 0.0)
+        square = np.maximum((ahead**2).sum(axis=1), np.finfo(np.float64).tiny)
+        steps = (ahead * found.standardised(here.delta)[0][:, which]).sum(axis=1) / square
+        scores = steps * np.sqrt(square)
+        scores /= max(float(np.median(np.abs(scores))) / MEDIAN_NORMAL, 1.0)
+        at = np.flatnonzero((scores > SUSPECTED) & (steps > 0.5))
+        if len(at):
+            out.append(Suspect(layout.channels[which[0]][0], "lost", float(time[at[0]]), float(scores[at].max())))
+    return out[:1]
 
 
 class _Directions(NamedTuple):
