@@ -116,4 +116,4 @@ def test_records_in_different_units_are_noticed(factors, said):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         bq.discover(records, chains="x:v:a", inputs="u", dictionary="x, v, u", smooth="none")
-    assert any("times between records: state their units" in str(one.message) for one in caught) == said
+    assert any("times between records: give their units" in str(one.message) for one in caught) == said

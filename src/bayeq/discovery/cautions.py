@@ -83,8 +83,7 @@ UNLIKE, ALIKE = 100.0, 10.0
 
 
 def warn_of_units(records: Sequence[Record], roles: Roles, log: WarningLog) -> None:
-    """Warn if a motion differs so much from record to record, and an input so little, or the other way round, that
-    units must differ."""
+    """Warn if units seem to differ between records: a motion per input does, and one of both hardly."""
     for chain, driver in itertools.product(roles.chains, roles.inputs):
         name = next(filter(None, chain.measured), driver)
         spreads = np.array([[np.nanstd(record[name]), np.nanstd(record[driver])] for record in records])
@@ -94,7 +93,7 @@ def warn_of_units(records: Sequence[Record], roles: Roles, log: WarningLog) -> N
         motion, force = logs[np.argmax(logs[:, 0] - logs[:, 1])] - logs[np.argmin(logs[:, 0] - logs[:, 1])]
         if motion - force > math.log(UNLIKE) and min(abs(motion), abs(force)) < math.log(ALIKE):
             ratio = in_digits(math.exp(motion - force))
-            log.warn(f"{name} per {driver} differs {ratio} times between records: state their units", DataWarning)
+            log.warn(f"{name} per {driver} differs {ratio} times between records: give their units", DataWarning)
             return
 
 
