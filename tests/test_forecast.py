@@ -241,6 +241,11 @@ def test_draws_have_the_moments_of_the_posterior(found):
     assert np.abs(np.corrcoef(level, drawn[:, 1:].T)[0, 1:]).max() < 0.01
 
 
+def test_draws_of_what_is_not_determined_are_refused():
+    with pytest.raises(InputError, match="covariance of coefficients is not finite"):
+        normal_draws(np.zeros(2), np.array([[1.0, np.nan], [np.nan, 1.0]]), 10, np.random.default_rng(1))
+
+
 def test_draws_of_badly_scaled_and_singular_covariances():
     sd = np.array([1e-9, 1.0, 1e9, 0.0])
     correlation = np.array([[1.0, 0.9, 0.0, 0.0], [0.9, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bayeq.arrays import Floats
+from bayeq.errors import InputError
 from bayeq.expressions import Binary, Expression, Node, Number, Symbol, Tape, number
 from bayeq.expressions.evaluate import Program
 from bayeq.expressions.implicit import solved
@@ -166,7 +167,12 @@ def moments(p: Posterior) -> tuple[Floats, Floats]:
 
 
 def normal_draws(mean: Floats, covariance: Floats, count: int, rng: np.random.Generator) -> Floats:
-    """Draws of a normal distribution, (count, p), whose covariance may be singular or badly scaled."""
+    """Draws of a normal distribution, (count, p), whose covariance may be singular or badly scaled.
+
+    InputError if it is not finite.
+    """
+    if not np.isfinite(covariance).all():
+        raise InputError("the covariance of coefficients is not finite: the record does not determine them; give fewer")
     sd = np.sqrt(np.diagonal(covariance))
     scale = np.where(sd > 0, sd, 1.0)
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
