@@ -25,8 +25,9 @@ SYSTEMS, NOISE = ("linear", "duffing", "quadratic", "coulomb"), (0.01, 0.05)
 CHAINS = ("x:v:a", "x::", ":v:", "::a")
 
 
-def draw(system: str, square: bool, end: float, actuator: bool, seed: int) -> bq.Record:
-    """A record; `end` is the share of the greatest force."""
+def draw(k: int, square: bool, end: float, actuator: bool) -> bq.Record:
+    """Record k; `end` is the share of the greatest force."""
+    system, seed = SYSTEMS[k % 4], SEED + k
     source, rng = get_system(system).force, np.random.default_rng([seed, N])
     assert source is not None
     force = band_limited_noise(source, N, FS, rng)
@@ -34,7 +35,7 @@ def draw(system: str, square: bool, end: float, actuator: bool, seed: int) -> bq
         rate = rng.uniform(1.0, 4.0)
         force = source.std * np.tanh(np.sin(2.0 * np.pi * rate * np.arange(N) / FS) / (2.0 * np.pi * rate * 0.002))
     limit = end * np.abs(force).max()
-    noise = dict.fromkeys("xva", NOISE[seed % 2]) | {"u": 0.0}
+    noise = dict.fromkeys("xva", NOISE[k // 4 % 2]) | {"u": 0.0}
     given = np.clip(force, -limit, limit) if actuator else force
     record = bq.simulate(system, n=N, fs=FS, seed=seed, noise=noise, force=given)
     return record.with_channels({"u": np.clip(record["u"], -limit, limit)})
@@ -48,7 +49,7 @@ def lines() -> Iterator[list[object]]:
                 for text in CHAINS:
                     roles, called, at = Roles.parse(text, None, None, None, None, ["u"]), 0, 0.0
                     for k in range(RECORDS):
-                        record = draw(SYSTEMS[k % 4], square, end, actuator, SEED + 4 * k)
+                        record = draw(k, square, end, actuator)
                         (bad,) = find_bad_samples([record], roles)
                         called += "clipped" in bad.get("u", {})
                         at += 100.0 * float((np.abs(record["u"]) == np.abs(record["u"]).max()).mean()) / RECORDS
