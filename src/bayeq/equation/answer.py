@@ -183,6 +183,11 @@ class Answer:
         return tuple(equation.chain for equation in self.equations)
 
     @property
+    def in_dots(self) -> tuple[Chain, ...]:
+        """The chains whose derivatives may be written as dots."""
+        return tuple(equation.chain for equation in self.equations if equation.in_seconds)
+
+    @property
     def states(self) -> tuple[str, ...]:
         """Names of the first-order state vector, the order of `rhs`."""
         return tuple(name for chain in self.chains for name in chain.states)
@@ -267,8 +272,7 @@ class Answer:
         aligned : bool
             Whether the lines stand in an ``aligned`` environment, equal signs below each other.
         """
-        chains = [one.chain for one in self.equations if one.in_seconds]
-        lines = [equation.to_latex(uncertainty, chains) for equation in self.equations]
+        lines = [equation.to_latex(uncertainty, self.in_dots) for equation in self.equations]
         if not aligned:
             return " \\\\\n".join(lines)
         body = " \\\\\n".join(line.replace(" = ", " &= ", 1) for line in lines)

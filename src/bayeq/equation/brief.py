@@ -302,9 +302,10 @@ def failed(equation: Equation) -> Iterator[str]:
     clipped = CLIPPED in str(equation.verdict)
     if found.normality < text.DOUBTFUL and found.kurtosis > 0.0 and not (equation.chain.static or clipped):
         yield "what is left has heavy tails: try --tails student"
-    if found.driver is not None and text.driven(equation):
-        late = "" if equation.chain.discrete else f", or it is late: --lag-sd {found.driver.name}=SECONDS learns that"
-        yield printable(f"what is left follows {found.driver.name}: a term with it may be missing{late}")
+    driver = text.followed(equation)
+    if driver is not None:
+        late = "" if equation.chain.discrete else f", or it is late: --lag-sd {driver.name}=SECONDS learns that"
+        yield printable(f"what is left follows {driver.name}: a term with it may be missing{late}")
     yield from map(printable, (*text.forms_of(equation), *equation.at_ends))
     for left in equation.left_out:
         yield printable(f"likely, but left out ({left.reason}): {left.name}, probability {left.pip:.3f}")

@@ -21,6 +21,7 @@ from bayeq.errors import in_digits, printable
 from bayeq.forecast.score import Scores, percent, percentages
 from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
 from bayeq.markup import printed, text_console
+from bayeq.regression.residuals import Driver
 from bayeq.states import rates
 
 # Wider than any table: in a pipe no line is broken.
@@ -276,19 +277,20 @@ def _checks(equation: Equation, scores: Scores | None) -> Iterator[str]:
     )
     if left is not None:
         yield f"unexplained beside noise: {left} of the target's standard deviation"
-    if found.driver is not None and driven(equation):
-        yield f"residuals: follow {found.driver} ({chance(found.driver.p_value)})"
+    driver = followed(equation)
+    if driver is not None:
+        yield f"residuals: follow {driver} ({chance(driver.p_value)})"
     elif found.driver is not None and found.driver.p_value >= DOUBTFUL:
         yield "residuals: follow no input or state at any lag"
 
 
-def driven(equation: Equation) -> bool:
-    """Whether residuals follow an input or a state, and nothing that says more speaks against it."""
+def followed(equation: Equation) -> Driver | None:
+    """The input or state that residuals follow, unless tests that say more found nothing."""
     driver = equation.residuals.driver
     # errors of an estimated derivative follow the motion: the tests behind the verdict say more
     by_likelihood = equation.chain.measured[-1] is None or equation.likelihood_model is not None
     tested = by_likelihood and (equation.verdict.kind == "found" or CLIPPED in str(equation.verdict))
-    return driver is not None and driver.p_value < DOUBTFUL and not tested
+    return None if driver is None or driver.p_value >= DOUBTFUL or tested else driver
 
 
 def left_beside_noise(equation: Equation) -> str | None:

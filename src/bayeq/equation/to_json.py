@@ -112,7 +112,7 @@ def _equation(equation: Equation, eq: Answer) -> dict[str, Any]:
         "equation": equation.text,
         "full_equation": None,  # as earlier versions had it
         **_attributes(equation, "error_probability", "tau"),
-        "latex": equation.to_latex(chains=[one.chain for one in eq if one.in_seconds]),
+        "latex": equation.to_latex(chains=eq.in_dots),
         **_attributes(equation, "unit_gains", "undetermined"),
         **({"constants": [_constant(equation, one) for one in equation.constants]} if equation.constants else {}),
         **({"forms": {choice: dict(found) for choice, found in equation.forms.items()}} if equation.forms else {}),

@@ -22,7 +22,7 @@ from bayeq.dictionary import evaluate_terms
 from bayeq.expressions import Expression
 from bayeq.likelihood.filter import run_filter
 from bayeq.likelihood.fit import State, Statistics, solved
-from bayeq.likelihood.layout import NOTHING
+from bayeq.likelihood.layout import NOTHING, Layout
 from bayeq.likelihood.model import Task
 from bayeq.numerics.distributions import excess_of
 from bayeq.numerics.spline import spline_slopes
@@ -93,7 +93,6 @@ def suspects_of(task: Task, state: State, here: Statistics) -> tuple[Suspect, ..
     open_to: dict[Off, set[str]] = {"factor": compared, "lag": compared.union(layout.roles.inputs)}
     if not layout.drift:
         open_to["offset"] = compared.difference(name for name in lowest if name)
-    open_to["high-pass"] = open_to["lag"]
     learned: list[tuple[int, Off, float, float]] = [
         *((i, "factor", gain.value - 1.0, gain.prior_sd) for i, gain in layout.uncertain),
         *((i, "lag", lag.value, lag.prior_sd) for i, lag in layout.late),
@@ -119,29 +118,38 @@ def suspects_of(task: Task, state: State, here: Statistics) -> tuple[Suspect, ..
     if max(factors) and not any(off == "factor" for _, off in known):
         # at another rate a velocity has another factor, and an acceleration its square: this may explain factors
         found, sought = found.beside(np.array(factors)), [*sought, (sought[int(np.argmax(factors))][0], "rate")]
-    squares = np.maximum(np.diagonal(found.information), np.finfo(np.float64).tiny)
-    values, named = found.slope / squares, dict[int, Suspect]()
+    named = _contradicted(layout, found, sought)
+    alike = {k: one for k, one in named.items() if one.off in ("factor", "rate")}
+    if {one.off for one in alike.values()} == {"rate"}:
+        named = {k: one for k, one in named.items() if k not in alike}
+    early: list[tuple[int, Off]] = [
+        (sought[k][0], "high-pass") for k, one in named.items() if one.off == "lag" and one.value < 0.0
+    ]
+    coupled = dict[str, Suspect]()
+    if early:  # as a channel with AC coupling seems
+        corners = _contradicted(layout, _directions(task, state, here, early), early).values()
+        coupled = {one.channel: one._replace(value=one.value / (2.0 * np.pi)) for one in corners if one.value > 0.0}
+    for k, one in named.items():
+        as_well = [other for m, other in alike.items() if m != k and k in alike and found.same(k, m)]
+        if one.off == "lag" and one.channel in coupled:  # in a narrow band they are the same
+            as_well.append(coupled[one.channel])
+        named[k] = one._replace(as_well=tuple(as_well))
+    return (*out, *named.values(), *coupled.values())
+
+
+def _contradicted(layout: Layout, found: _Directions, sought: Sequence[tuple[int, Off]]) -> dict[int, Suspect]:
+    """The errors that score tests find, by their numbers in `sought`; of AC coupling the corner in radians a second."""
+    squares, out = np.maximum(np.diagonal(found.information), np.finfo(np.float64).tiny), dict[int, Suspect]()
+    values = found.slope / squares
     for k in np.flatnonzero(np.abs(values) * found.shares > AS_SAID).tolist():
         # noise that is not white makes the slope less certain: by how much, the scores of the corrected channel show
         change, (i, off) = found.changes[..., k], sought[k]
         scores = (change * (found.left - values[k] * change)).sum(axis=1, keepdims=True) / np.sqrt(squares[k])
         excess, _ = excess_of(np.split(scores, found.ends))
         sds = abs(float(found.slope[k])) / np.sqrt(squares[k] * max(excess, 1.0))
-        name, value = layout.channels[i][0], float(values[k])
-        if off == "high-pass":  # to which a channel seems early
-            value /= 2.0 * np.pi
-            seems = value > 0.0 and any(one[:2] == (name, "lag") and one.value < 0.0 for one in named.values())
-        else:
-            seems = off != "rate" or any(one.off == "factor" for one in named.values())
-        if sds > SUSPECTED and seems:
-            named[k] = Suspect(name, off, value, float(sds))
-    alike = {k: one for k, one in named.items() if one.off in ("factor", "rate")}
-    for k, one in named.items():
-        as_well = [other for m, other in alike.items() if m != k and k in alike and found.same(k, m)]
-        if one.off == "lag":  # in a narrow band they are the same
-            as_well += [other for other in named.values() if other[:2] == (one.channel, "high-pass")]
-        named[k] = one._replace(as_well=tuple(as_well))
-    return (*out, *named.values())
+        if sds > SUSPECTED:
+            out[k] = Suspect(layout.channels[i][0], off, float(values[k]), float(sds))
+    return out
 
 
 def lost_rows(task: Task, state: State, here: Statistics) -> list[Suspect]:
