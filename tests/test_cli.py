@@ -183,6 +183,28 @@ def test_compiling_is_announced_in_a_pipe_too(duffing, tmp_path):
     process.communicate()
 
 
+BESIDE = """
+import bayeq as bq
+from bayeq.cli.beside import main
+from bayeq.inference.collapsed.listing import _search
+from bayeq.inference.collapsed.search import explore
+from bayeq.inference.vb import _best_ascent
+from bayeq.numerics.rk4 import free_runs, shoot
+
+record = bq.simulate("duffing", n=600, seed=1)
+main()
+kernels = (explore, _search, _best_ascent, free_runs, shoot)
+before = [list(kernel.signatures) for kernel in kernels]
+bq.discover(record, chains="x:v:a", inputs=["u"])
+print(all(before), before == [list(kernel.signatures) for kernel in kernels])
+"""
+
+
+def test_the_process_beside_compiles_what_a_discovery_needs():
+    done = subprocess.run([sys.executable, "-W", "ignore", "-c", BESIDE], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["True", "True"]
+
+
 def test_an_interrupt_is_one_line_and_leaves_no_half_file(tmp_path):
     target = tmp_path / "big.csv"
     target.write_text("what was there before")

@@ -11,6 +11,7 @@ from typing import Any
 
 import click
 
+from bayeq.cli.beside import compile_beside
 from bayeq.cli.terminal import COMPILING, require_address_space, say
 from bayeq.errors import InputError
 from bayeq.kernels import announce_compiling
@@ -79,13 +80,19 @@ def cluster_client(address: str | None) -> AbstractContextManager[Any]:
     return connected(address)
 
 
+def _compile() -> None:
+    """Say that kernels are compiled, and have half of them compiled by another process."""
+    say(COMPILING)
+    compile_beside()
+
+
 class Command(click.Command):
     """A command that needs numerical libraries; its help lists options in groups, and examples as they are written."""
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command after a check of the memory limit; print a line before kernels are compiled."""
         require_address_space()
-        announce_compiling(lambda: say(COMPILING))
+        announce_compiling(_compile)
         return super().invoke(ctx)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
