@@ -7,19 +7,22 @@ import pytest
 
 import bayeq as bq
 from bayeq.expressions import FUNCTIONS, Tape, parse, run_tape
+from bayeq.expressions.evaluate import RowTangents, dependence, registers_for, run_on_rows
 from bayeq.numerics.rk4 import Drive, interpolant, shoot
 from tests.simulated import coarse
 
 UNARY = [name for name, one in FUNCTIONS.items() if one.arguments == (1, 1) and name != "acosh"]
 
 
-@pytest.mark.parametrize(
-    "text",
+TEXTS = (
     [f"{name}(0.3*x)+{name}(0.2*y)*y" for name in UNARY]
     + ["acosh(1+x)*y", "max(x,y*x)", "min(x,y,1)", "atan2(x,y)", "mod(x,y)*y", "mod(y,0.31)", "where(x<y,x**2,y*x)"]
     + ["where(x>=y,x**2,y*x)", "cbrt(-x)*y", "floor(x)*y", "heaviside(x-y)*x", "relu(x-y)*x", "sigmoid(x*y)"]
-    + ["x+y*x", "x-y", "x/y", "-x", "x**3*y**2", "x**-2", "x**y", "2**x", "x**0.5", "(x*y)**2.5", "abs(-x)*y"],
+    + ["x+y*x", "x-y", "x/y", "-x", "x**3*y**2", "x**-2", "x**y", "2**x", "x**0.5", "(x*y)**2.5", "abs(-x)*y"]
 )
+
+
+@pytest.mark.parametrize("text", TEXTS)
 def test_tangents_are_the_derivatives(text):
     tape = Tape.compile([parse(text)], ["x", "y"])
     rng = np.random.default_rng(0)
@@ -35,6 +38,27 @@ def test_tangents_are_the_derivatives(text):
             (tape([x, y + h])[0] - tape([x, y - h])[0]) / (2 * h),
         ]
         np.testing.assert_allclose(tangents[tape.outputs[0]], twin, rtol=1e-7, atol=1e-9)
+
+
+@pytest.mark.parametrize("text", TEXTS)
+def test_many_rows_at_a_time_are_as_one_by_one(text):
+    tape = Tape.compile([parse(text)], ["x", "y", "z"])
+    points = np.random.default_rng(1).uniform(-1.5, 1.5, (7, 3))
+    points[0, :2] = points[1, 0] = 0.0  # where slopes are infinite, or undefined
+    registers = registers_for(tape, 9)
+    registers[:3, :7] = points.T
+    tangents = RowTangents(np.zeros((len(registers), 3, 9)), np.zeros((len(registers), 3), dtype=bool))
+    tangents.values[range(3), range(3)], tangents.depends[range(3), range(3)] = 1.0, True
+    dependence(tape.code, tangents.depends)
+    run_on_rows(tape.code, registers, 7, tangents)
+    for k, point in enumerate(points):
+        program, twin = tape.program(point), np.zeros((len(registers), 3))
+        twin[:3] = np.eye(3)
+        run_tape(program, twin)
+        np.testing.assert_array_equal(registers[:, k], program.registers)
+        # along z, on which nothing depends, 0 times what is infinite would be NaN
+        np.testing.assert_array_equal(tangents.values[:, :, k], np.where(tangents.depends, twin, 0.0))
+    assert not tangents.depends[tape.outputs[0], 2]
 
 
 def test_tangents_at_zero():

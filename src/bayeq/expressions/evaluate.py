@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bayeq.arrays import Floats
+from bayeq.arrays import Bools, Floats
 from bayeq.errors import InputError, UnknownNameError
 from bayeq.expressions.functions import (
     ABS,
@@ -331,39 +331,109 @@ def registers_for(tape: Tape, rows: int) -> Floats:
     return np.repeat(tape.initial[:, None], rows, axis=1)
 
 
+class RowTangents(NamedTuple):
+    """Derivatives of registers along q directions in R rows; where `depends` is false they are left as they are."""
+
+    values: Floats  # (n_registers, q, R)
+    depends: Bools  # (n_registers, q), see `dependence`
+
+
 @kernel
-def run_on_rows(code: IndexArray, registers: Floats, rows: int) -> None:
-    """Execute a tape on the first `rows` columns of `registers`, (n_registers, R); variables are given in the first."""
+def dependence(code: IndexArray, depends: Bools) -> None:
+    """On which variables each register depends: completes `depends`, (n_registers, q), given for the variables."""
+    for i in range(code.shape[0]):
+        to, left, right = code[i, 1], code[i, 2], code[i, 3]
+        for j in range(depends.shape[1]):
+            depends[to, j] = depends[left, j] or depends[right, j]
+
+
+@kernel
+def run_on_rows(code: IndexArray, registers: Floats, rows: int, tangents: RowTangents | None) -> None:
+    """As `run_tape`, on the first `rows` columns of `registers`, (n_registers, R); variables are given in the first."""
     for i in range(code.shape[0]):
         opcode, to, left, right = code[i, 0], code[i, 1], code[i, 2], code[i, 3]
         out, a, b = registers[to], registers[left], registers[right]
+        if tangents is not None:
+            _tangents_on_rows(code[i], registers, rows, tangents.values, tangents.depends[to])
         if opcode == MULTIPLY:
-            for j in range(rows):
-                out[j] = a[j] * b[j]
+            for k in range(rows):
+                out[k] = a[k] * b[k]
         elif opcode == ADD:
-            for j in range(rows):
-                out[j] = a[j] + b[j]
+            for k in range(rows):
+                out[k] = a[k] + b[k]
         elif opcode == SUBTRACT:
-            for j in range(rows):
-                out[j] = a[j] - b[j]
+            for k in range(rows):
+                out[k] = a[k] - b[k]
         elif opcode == DIVIDE:
-            for j in range(rows):
-                out[j] = a[j] / b[j]
+            for k in range(rows):
+                out[k] = a[k] / b[k]
         elif opcode == NEGATE:
-            for j in range(rows):
-                out[j] = -a[j]
+            for k in range(rows):
+                out[k] = -a[k]
         elif opcode == ABS:
-            for j in range(rows):
-                out[j] = abs(a[j])
+            for k in range(rows):
+                out[k] = abs(a[k])
         elif opcode == SIGN:
-            for j in range(rows):
-                out[j] = a[j] if a[j] == 0.0 or a[j] != a[j] else np.copysign(1.0, a[j])
+            for k in range(rows):
+                out[k] = a[k] if a[k] == 0.0 or a[k] != a[k] else np.copysign(1.0, a[k])
         elif opcode == POWER:
-            for j in range(rows):
-                out[j] = a[j] ** b[j]
+            for k in range(rows):
+                out[k] = a[k] ** b[k]
         elif opcode >= PAIRS:
-            for j in range(rows):
-                out[j] = apply_pair(opcode, a[j], b[j])[0]
+            for k in range(rows):
+                out[k] = apply_pair(opcode, a[k], b[k])[0]
         else:
-            for j in range(rows):
-                out[j] = apply_function(opcode, a[j], False)
+            for k in range(rows):
+                out[k] = apply_function(opcode, a[k], False)
+
+
+@kernel(borrowing=True)
+def _tangents_on_rows(instruction: IndexArray, registers: Floats, rows: int, tangents: Floats, depends: Bools) -> None:
+    """Derivatives of an instruction's result; a factor of 0 leaves out what would be infinite or undefined."""
+    opcode, to, left, right = instruction[0], instruction[1], instruction[2], instruction[3]
+    for j in range(tangents.shape[1]):
+        if not depends[j]:
+            continue
+        if opcode == MULTIPLY:
+            for k in range(rows):
+                a, b = registers[left, k], registers[right, k]
+                tangents[to, j, k] = a * tangents[right, j, k] + b * tangents[left, j, k]
+        elif opcode == ADD:
+            for k in range(rows):
+                tangents[to, j, k] = tangents[left, j, k] + tangents[right, j, k]
+        elif opcode == SUBTRACT:
+            for k in range(rows):
+                tangents[to, j, k] = tangents[left, j, k] - tangents[right, j, k]
+        elif opcode == DIVIDE:
+            for k in range(rows):
+                b = registers[right, k]
+                value = registers[left, k] / b
+                tangents[to, j, k] = (tangents[left, j, k] - value * tangents[right, j, k]) / b
+        elif opcode == NEGATE:
+            for k in range(rows):
+                tangents[to, j, k] = -tangents[left, j, k]
+        else:
+            for k in range(rows):
+                by_a, by_b = tangents[left, j, k], tangents[right, j, k]
+                a, b = registers[left, k], registers[right, k]
+                tangents[to, j, k] = _slope(opcode, a, b, by_a, by_b)
+
+
+@kernel(borrowing=True)
+def _slope(opcode: int, a: float, b: float, along_a: float, along_b: float) -> float:
+    """Derivative of a power or a function along a direction of its arguments."""
+    slope = 0.0
+    if opcode == POWER:
+        if along_a != 0.0:
+            slope = b * a ** (b - 1.0) * along_a
+        if along_b != 0.0:
+            slope += a**b * math.log(a) * along_b
+    elif opcode >= PAIRS:
+        _, by_a, by_b = apply_pair(opcode, a, b)
+        if along_a != 0.0 and by_a != 0.0:
+            slope = by_a * along_a
+        if along_b != 0.0 and by_b != 0.0:
+            slope += by_b * along_b
+    elif along_a != 0.0:
+        slope = apply_function(opcode, a, True) * along_a
+    return slope

@@ -30,6 +30,8 @@ LINE = 8
 
 # Floats of innovations (256 kB) that are filtered before they are summed, so that they stay in the processor's cache.
 TOGETHER = 2**15
+# Number of steps, at least, whose derivatives by coefficients are computed at a time.
+AHEAD = 64
 
 
 class Noise(NamedTuple):
@@ -319,9 +321,12 @@ def run_filter(linear: Linear, chosen: Candidates, noise: Noise, keep: bool = Tr
     out = Filtered(innovation, variance, gain, mean, covariance, np.zeros((1 + r, 1 + r)), 0.0)
     at, logs = _Running.at_start(linear, chosen, noise), 0.0
     together = rows_together(channels, r)
+    ahead = together * max(1, AHEAD // together)
     for first in range(0, n, together):
-        stop = min(first + together, n)
-        sources = sources_of(linear, chosen, max(first, 1) - 1, stop - 1)
+        stop, of = min(first + together, n), max(first - first % ahead, 1) - 1
+        if first % ahead == 0:
+            integrated = sources_of(linear, chosen, of, min(first + ahead, n) - 1)
+        sources = integrated[max(first, 1) - 1 - of : stop - 1 - of]
         used = _forward(linear, chosen, sources, noise, first, stop, keep, at, out)
         scaled = at.scaled[:used]
         out.product[:] += scaled.T @ scaled

@@ -60,7 +60,7 @@ class State:
                 linear.transition[:, :, layout.discrepancy],
                 self.chosen,
                 self.theta,
-                linear.steps.substeps,
+                linear.steps.substeps[:-1],
             )
             for one, path, adj, linear in zip(series, paths, found, linears, strict=True)
             if layout.jumps

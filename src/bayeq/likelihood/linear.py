@@ -85,8 +85,8 @@ def linearise(
         inputs,
         series.bends,
         layout.driven,
-        series.intervals,
-        np.where(jumping, max(substeps, LIKELIHOOD.jump_steps), substeps),
+        np.append(series.intervals, 0.0),
+        np.append(np.where(jumping, max(substeps, LIKELIHOOD.jump_steps), substeps), 1),
         layout.last,
         layout.factors,
         layout.motion,
@@ -98,7 +98,8 @@ def linearise(
     end, transition, sources, target, gradient = arrays(
         (n - 1, size), (n - 1, size, size), (n - 1, layout.motion, len(theta)), (n, chains), (n, chains, size)
     )
-    integrate(steps, chosen, True, path, 0, n, end, transition, sources, target, gradient)
+    order = np.argsort(steps.substeps, kind="stable")
+    integrate(steps, chosen, True, path, order, 0, end, transition, sources, target, gradient)
     open_to = np.ones((n, chains))
     held = [hold for hold in blur.holds if layout.jumps_in(chosen)[hold.jump]]
     for hold in held:
@@ -213,10 +214,10 @@ def sources_of(linear: Linear, chosen: Candidates, first: int, stop: int) -> Flo
     r = len(chosen.chain)
     if chosen is linear.chosen or r == 0:
         return linear.sources[first:stop, :, :r]
-    out = np.empty((stop - first, linear.steps.motion, r))
+    out, steps = np.empty((stop - first, linear.steps.motion, r)), linear.steps
+    order = first + np.argsort(steps.substeps[first:stop], kind="stable")
     no_ends, no_slopes = np.empty((0, 0)), np.empty((0, 0, 0))
-    steps = linear.steps.fresh()
-    integrate(steps, chosen, False, linear.path, first, stop, no_ends, no_slopes, out, no_ends, no_slopes)
+    integrate(steps, chosen, False, linear.path, order, first, no_ends, no_slopes, out, no_ends, no_slopes)
     for rows, left in linear.holds:
         inside = (first <= rows) & (rows < stop)
         out[rows[inside] - first] = left[inside] @ out[rows[inside] - first]
@@ -265,7 +266,7 @@ def terms_along(
 def derivatives_along(linear: Linear, at_samples: Floats, between: Floats) -> Floats:
     """Sums of all candidates' derivatives along directions (n, C, S) at samples, (n - 1, C, S) between: (C, P + 1)."""
     out = np.zeros((at_samples.shape[1], linear.terms.shape[1]))
-    steps = linear.steps.fresh()
+    steps = linear.steps
     if len(linear.coupling):
         # a term acts on every target; its effect on the mass matrix is neglected
         at_samples = np.einsum("nec,nes->ncs", linear.coupling, at_samples)

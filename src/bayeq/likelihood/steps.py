@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bayeq.arrays import Bools, Floats, Ints
-from bayeq.expressions.evaluate import Program, run_tape
+from bayeq.expressions.evaluate import Program, RowTangents, dependence, run_on_rows, run_tape
 from bayeq.inference.posterior import Averaged, ModelAverage, Posterior
 from bayeq.kernels import kernel
 from bayeq.likelihood.layout import HELD, SMOOTH, STRAIGHT, Candidates, Stated
@@ -31,8 +31,8 @@ class Steps(NamedTuple):
     inputs: Floats  # (n, m, 4), those of the `Series`, then the widths of jumps
     bends: Floats  # (n, L, 2), as in `Series`
     driven: Ints  # (L,), see `Layout.driven`
-    intervals: Floats  # (n - 1,), between samples [s]
-    substeps: Ints  # (n - 1,), Runge-Kutta steps of each interval
+    intervals: Floats  # (n,), to the next sample [s]; 0 after the last one
+    substeps: Ints  # (n,), Runge-Kutta steps of each interval
     last: Ints  # (C,), see `Layout.last`
     factors: Floats  # (C,), rate of that state for a target of 1; 0 of static laws, whose targets are not integrated
     motion: int  # number of states that are derivatives of chains: the first ones, which alone depend on coefficients
@@ -42,107 +42,194 @@ class Steps(NamedTuple):
     implicit: bool
     discrete: bool  # whether the program gives next values in place of rates: nothing is integrated
 
-    def fresh(self) -> Steps:
-        """A copy of the steps with its own registers."""
-        program, basis = (one._replace(registers=one.registers.copy()) for one in (self.program, self.basis))
-        return self._replace(program=program, basis=basis)
+
+# Rows that are integrated at a time, so that their arithmetic is vectorised, and the floats (2 MB) that their tangents
+# may take.
+ROWS = 64
+CACHED = 2**18
 
 
-class Tangents(NamedTuple):
-    """Derivatives by the states: `tangents` of a program's registers, `powers` of the states outside chains."""
+class Work(NamedTuple):
+    """Registers of up to R rows, and their derivatives by the S states at the sample."""
 
-    tangents: Floats
-    powers: Floats
+    registers: Floats  # (n_registers, R) of the model's program
+    tangents: RowTangents  # by the S states
+    reach: Bools  # (motion, 1 + S + r), where derivatives of the states of chains may differ from 0
+    terms: Floats  # (n_registers, R) of the candidates' program
+    powers: Floats  # (S, S, R), derivatives of the states outside chains
+    power: Floats  # (R,)
+    rows: Ints  # (R,), the samples
+    widths: Floats  # (R,), intervals after them [s]
 
 
 @kernel(borrowing=True)
-def _set_inputs(program: Program, inputs: Floats, size: int, row: int, fraction: float) -> None:
+def _set_inputs(registers: Floats, inputs: Floats, size: int, row: int, fraction: float) -> None:
     """Puts given variables and widths of jumps, at a fraction of the interval after a sample, into the registers."""
     rest = 1.0 - fraction
     for k in range(inputs.shape[1]):
         p = inputs[row, k]
-        program.registers[size + k] = rest * p[0] + fraction * p[1] + fraction * rest * (p[2] + fraction * p[3])
+        registers[size + k] = rest * p[0] + fraction * p[1] + fraction * rest * (p[2] + fraction * p[3])
 
 
 @kernel(borrowing=True)
-def _drift(steps: Steps, path: Floats, row: int, interval: float, fraction: float, last: bool, powers: Floats) -> None:
-    """Puts the states outside chains, at a fraction of an interval after a sample, into the registers.
+def _set_rows(registers: Floats, inputs: Floats, size: int, rows: Ints, fraction: float) -> None:
+    """As `_set_inputs`, for some rows."""
+    rest = 1.0 - fraction
+    for i in range(inputs.shape[1]):
+        for k in range(len(rows)):
+            p = inputs[rows[k], i]
+            registers[size + i, k] = rest * p[0] + fraction * p[1] + fraction * rest * (p[2] + fraction * p[3])
+
+
+@kernel(borrowing=True)
+def _drift(steps: Steps, path: Floats, fraction: float, last: bool, work: Work) -> None:
+    """Puts the states outside chains, at a fraction of the intervals after samples, into the registers.
 
     They follow Taylor series; an input that is not `SMOOTH` goes straight to the end of its series, or is held until
-    there; `last` asks for the end itself. `powers` (S, S) receives derivatives by the states at the sample.
+    there; `last` asks for the end itself. `work.powers` receives derivatives by the states at the sample.
     """
-    size = path.shape[1]
+    size, rows = path.shape[1], work.rows
     for i in range(steps.motion, size):
-        value, power, j = path[row, i], 1.0, i
         course = SMOOTH if last else steps.straight[i]
-        time, share = fraction * interval, 1.0
+        duration, share = fraction, 1.0
         if course != SMOOTH:
-            time, share = interval, fraction if course == STRAIGHT else 0.0
-        powers[i, i] = 1.0
+            duration, share = 1.0, fraction if course == STRAIGHT else 0.0
+        for k in range(len(rows)):
+            work.registers[i, k] = path[rows[k], i]
+            work.powers[i, i, k] = work.power[k] = 1.0
+        j = i
         while steps.rising[j]:
             j += 1
-            power *= time / (j - i)
-            powers[i, j] = share * power
-            value += share * power * path[row, j]
-        steps.program.registers[i] = value
-    for k in range(len(steps.driven)):
-        bend = steps.bends[row, k, 0] + fraction * steps.bends[row, k, 1]
-        steps.program.registers[steps.driven[k]] += fraction * (1.0 - fraction) * bend
+            for k in range(len(rows)):
+                work.power[k] *= duration * work.widths[k] / (j - i)
+                work.powers[i, j, k] = share * work.power[k]
+                work.registers[i, k] += share * work.power[k] * path[rows[k], j]
+    for i in range(len(steps.driven)):
+        for k in range(len(rows)):
+            bend = steps.bends[rows[k], i, 0] + fraction * steps.bends[rows[k], i, 1]
+            work.registers[steps.driven[i], k] += fraction * (1.0 - fraction) * bend
 
 
-@kernel(borrowing=True)
-def _rates(
-    steps: Steps, chosen: Candidates, own: bool, row: int, fraction: float, work: Tangents, y: Floats, rate: Floats
-) -> None:
+@kernel
+def _rates(steps: Steps, chosen: Candidates, own: bool, fraction: float, work: Work, y: Floats, rate: Floats) -> None:
     """Rates of the states of chains (first column), of their derivatives by all states, and by the coefficients."""
-    program, basis, motion = steps.program, steps.basis, steps.motion
-    width, size, registers = y.shape[1], work.powers.shape[0], program.registers
+    motion, width, size, registers = steps.motion, y.shape[1], work.powers.shape[0], work.registers
+    rows = len(work.rows)
     for i in range(motion):
-        registers[i] = y[i, 0]
-    _set_inputs(program, steps.inputs, size, row, fraction)
-    run_tape(program, work.tangents)
+        registers[i, :rows] = y[i, 0, :rows]
+    _set_rows(registers, steps.inputs, size, work.rows, fraction)
+    run_on_rows(steps.program.code, registers, rows, work.tangents)
     for i in range(motion):
-        output = program.outputs[i]
-        rate[i, 0] = registers[output]
-        for j in range(1, width):
-            rate[i, j] = 0.0
+        output = steps.program.outputs[i]
+        rate[i, 0, :rows] = registers[output, :rows]
+        rate[i, 1:, :rows] = 0.0
         for o in range(size):
-            factor = work.tangents[output, o]
-            if factor == 0.0:
+            if not work.tangents.depends[output, o]:
                 continue
+            factor = work.tangents.values[output, o]
             if o < motion:
                 for j in range(1, width):
-                    rate[i, j] += factor * y[o, j]
-            else:
-                for j in range(o, size):
-                    rate[i, 1 + j] += factor * work.powers[o, j]
+                    if work.reach[o, j]:
+                        work.reach[i, j] = True
+                        _add_products(rows, factor, y[o, j], rate[i, j])
+                continue
+            j = o
+            while True:
+                work.reach[i, 1 + j] = True
+                _add_products(rows, factor, work.powers[o, j], rate[i, 1 + j])
+                if not steps.rising[j]:
+                    break
+                j += 1
     r, chains = width - 1 - size, len(steps.factors)
-    first, free = size + chains, len(program.outputs) - chains * (chains + 1)
+    terms, free = size + chains, len(steps.program.outputs) - chains * (chains + 1)
     if r and not own:
-        for i in range(size):
-            basis.registers[i] = registers[i]
-        _set_inputs(basis, steps.inputs, size, row, fraction)
+        work.terms[:size, :rows] = registers[:size, :rows]
+        _set_rows(work.terms, steps.inputs, size, work.rows, fraction)
         if steps.implicit:
             for c in range(chains):
-                basis.registers[size + steps.inputs.shape[1] + c] = registers[program.outputs[free + c]]
-        run_tape(basis, None)
+                given = registers[steps.program.outputs[free + c], :rows]
+                work.terms[size + steps.inputs.shape[1] + c, :rows] = given
+        run_on_rows(steps.basis.code, work.terms, rows, None)
     for j in range(r if motion else 0):
-        c = chosen.chain[j]
-        term = registers[program.outputs[first + j]] if own else basis.registers[basis.outputs[chosen.term[j]]]
+        c, out = chosen.chain[j], 1 + size + j
+        term = registers[steps.program.outputs[terms + j]] if own else work.terms[steps.basis.outputs[chosen.term[j]]]
         if steps.implicit:
             for e in range(chains):
-                shared = registers[program.outputs[free + chains * (1 + e) + c]]
-                rate[steps.last[e], 1 + size + j] += steps.factors[e] * shared * term
+                shared = registers[steps.program.outputs[free + chains * (1 + e) + c]]
+                work.reach[steps.last[e], out] = True
+                for k in range(rows):
+                    rate[steps.last[e], out, k] += steps.factors[e] * shared[k] * term[k]
         else:
-            rate[steps.last[c], 1 + size + j] += steps.factors[c] * term
+            work.reach[steps.last[c], out] = True
+            for k in range(rows):
+                rate[steps.last[c], out, k] += steps.factors[c] * term[k]
 
 
 @kernel(borrowing=True)
-def _ahead(x: Floats, h: float, rate: Floats, y: Floats) -> None:
-    """Puts x + h rate into `y`."""
+def _add_products(rows: int, factor: Floats, values: Floats, out: Floats) -> None:
+    """Adds products to `out`; a factor of 0 adds nothing, whatever the value."""
+    for k in range(rows):
+        out[k] += factor[k] * values[k] if factor[k] != 0.0 else 0.0
+
+
+@kernel(borrowing=True)
+def _ahead(x: Floats, share: float, work: Work, rate: Floats, y: Floats) -> None:
+    """Puts x + h rate into `y`, for a step h of a share of each width."""
     for i in range(x.shape[0]):
         for j in range(x.shape[1]):
-            y[i, j] = x[i, j] + h * rate[i, j]
+            if work.reach[i, j]:
+                for k in range(len(work.rows)):
+                    y[i, j, k] = x[i, j, k] + share * work.widths[k] * rate[i, j, k]
+
+
+@kernel
+def _integrate_rows(
+    steps: Steps,
+    chosen: Candidates,
+    own: bool,
+    path: Floats,
+    count: int,
+    work: Work,
+    stages: Floats,
+    target: Floats,
+    gradient: Floats,
+) -> None:
+    """Integrates from the samples of `work` in `count` steps; the first of the stages (6, motion, 1 + S + r, R) is then
+    the end, with its derivatives by the states and the coefficients."""
+    size, motion, share = path.shape[1], steps.motion, 1.0 / count
+    x, y, k1, k2, k3, k4 = stages[0], stages[1], stages[2], stages[3], stages[4], stages[5]
+    x[:] = y[:] = 0.0
+    work.reach[:, 1:] = False
+    for i in range(motion):
+        work.reach[i, 0] = work.reach[i, 1 + i] = True
+        for k in range(len(work.rows)):
+            x[i, 0, k], x[i, 1 + i, k] = path[work.rows[k], i], 1.0
+    for step in range(count):
+        _drift(steps, path, step * share, False, work)
+        _rates(steps, chosen, own, step * share, work, x, k1)
+        if step == 0:
+            for c in range(target.shape[1]):
+                output = steps.program.outputs[size + c]
+                for k in range(len(work.rows)):
+                    target[work.rows[k], c] = work.registers[output, k]
+                    for j in range(size):
+                        gradient[work.rows[k], c, j] = work.tangents.values[output, j, k]
+        if steps.discrete:
+            x[:] = k1
+            continue
+        _ahead(x, 0.5 * share, work, k1, y)
+        _drift(steps, path, (step + 0.5) * share, False, work)
+        _rates(steps, chosen, own, (step + 0.5) * share, work, y, k2)
+        _ahead(x, 0.5 * share, work, k2, y)
+        _rates(steps, chosen, own, (step + 0.5) * share, work, y, k3)
+        _ahead(x, share, work, k3, y)
+        _drift(steps, path, (step + 1.0) * share, False, work)
+        _rates(steps, chosen, own, (step + 1.0) * share, work, y, k4)
+        for i in range(motion):
+            for j in range(x.shape[1]):
+                for k in range(len(work.rows) if work.reach[i, j] else 0):
+                    slope = k1[i, j, k] + 2.0 * (k2[i, j, k] + k3[i, j, k]) + k4[i, j, k]
+                    x[i, j, k] += share * work.widths[k] / 6.0 * slope
 
 
 @kernel
@@ -151,72 +238,59 @@ def integrate(
     chosen: Candidates,
     own: bool,
     path: Floats,
+    order: Ints,
     first: int,
-    stop: int,
     end: Floats,
     transition: Floats,
     sources: Floats,
     target: Floats,
     gradient: Floats,
 ) -> None:
-    """Runge-Kutta steps, or those of a map, from samples `first` to `stop` of a path, with their derivatives.
+    """Runge-Kutta steps, or those of a map, from some samples of a path, with their derivatives.
 
-    The arrays receive the fields of `Linear`, and the targets (n, C); `end`, `transition` and `sources` from their
-    first row on. Empty arrays receive nothing. `own` says that the chosen coefficients are those of the model.
+    The arrays receive the fields of `Linear`, and the targets (n, C); `end`, `transition` and `sources` from sample
+    `first` on. Empty arrays receive nothing. Samples of as many steps stand together in `order`. `own` says that the
+    chosen coefficients are those of the model.
     """
     (n, size), r, motion = path.shape, len(chosen.chain), steps.motion
-    work = Tangents(np.zeros((steps.program.registers.shape[0], size)), np.zeros((size, size)))
+    given, of_terms = steps.program.registers, steps.basis.registers
+    most = max(1, min(ROWS, len(order), CACHED // (len(given) * size)))
+    registers, terms = np.empty((len(given), most)), np.empty((len(of_terms), most))
+    for i in range(len(given)):
+        registers[i] = given[i]
+    for i in range(len(of_terms)):
+        terms[i] = of_terms[i]
+    tangents = RowTangents(np.zeros((len(given), size, most)), np.zeros((len(given), size), dtype=np.bool_))
     for i in range(size):
-        work.tangents[i, i] = 1.0
-    stages = np.zeros((STAGES, motion, 1 + size + r))
-    x, y, k1, k2, k3, k4 = stages[0], stages[1], stages[2], stages[3], stages[4], stages[5]
-    for row in range(first, stop):
-        for i in range(motion):
-            for j in range(1 + size + r):
-                x[i, j] = 1.0 if j == 1 + i else 0.0
-            x[i, 0] = path[row, i]
-        count = steps.substeps[row] if row < n - 1 else 1
-        share = 1.0 / count
-        for step in range(count):
-            whole = steps.intervals[row] if row < n - 1 else 0.0
-            _drift(steps, path, row, whole, step * share, False, work.powers)
-            _rates(steps, chosen, own, row, step * share, work, x, k1)
-            if step == 0:
-                for c in range(target.shape[1]):
-                    output = steps.program.outputs[size + c]
-                    target[row, c] = steps.program.registers[output]
-                    for j in range(size):
-                        gradient[row, c, j] = work.tangents[output, j]
-            if row == n - 1:
-                break
-            if steps.discrete:
-                for i in range(motion):
-                    for j in range(1 + size + r):
-                        x[i, j] = k1[i, j]
+        tangents.values[i, i], tangents.depends[i, i] = 1.0, True
+    dependence(steps.program.code, tangents.depends)
+    reach, powers, power = (
+        np.zeros((motion, 1 + size + r), dtype=np.bool_),
+        np.zeros((size, size, most)),
+        np.empty(most),
+    )
+    stages, widths, stop = np.zeros((STAGES, motion, 1 + size + r, most)), np.empty(most), 0
+    while stop < len(order):
+        start, count = stop, steps.substeps[order[stop]]
+        while stop < min(start + most, len(order)) and steps.substeps[order[stop]] == count:
+            widths[stop - start] = steps.intervals[order[stop]]
+            stop += 1
+        rows = order[start:stop]
+        work = Work(registers, tangents, reach, terms, powers, power, rows, widths[: len(rows)])
+        _integrate_rows(steps, chosen, own, path, count, work, stages, target, gradient)
+        if end.shape[1]:
+            _drift(steps, path, 1.0, True, work)
+        for k in range(len(rows)):
+            row = rows[k] - first
+            if rows[k] == n - 1:
                 continue
-            h = whole * share
-            _ahead(x, 0.5 * h, k1, y)
-            _drift(steps, path, row, whole, (step + 0.5) * share, False, work.powers)
-            _rates(steps, chosen, own, row, (step + 0.5) * share, work, y, k2)
-            _ahead(x, 0.5 * h, k2, y)
-            _rates(steps, chosen, own, row, (step + 0.5) * share, work, y, k3)
-            _ahead(x, h, k3, y)
-            _drift(steps, path, row, whole, (step + 1.0) * share, False, work.powers)
-            _rates(steps, chosen, own, row, (step + 1.0) * share, work, y, k4)
-            for i in range(motion):
-                for j in range(1 + size + r):
-                    x[i, j] += h / 6.0 * (k1[i, j] + 2.0 * (k2[i, j] + k3[i, j]) + k4[i, j])
-        if row < n - 1:
-            at = row - first
-            if end.shape[1]:
-                _drift(steps, path, row, whole, 1.0, True, work.powers)
             for i in range(end.shape[1]):
-                end[at, i] = x[i, 0] if i < motion else steps.program.registers[i]
+                end[row, i] = stages[0, i, 0, k] if i < motion else registers[i, k]
                 for j in range(size):
-                    transition[at, i, j] = x[i, 1 + j] if i < motion else work.powers[i, j]
+                    transition[row, i, j] = stages[0, i, 1 + j, k] if i < motion else powers[i, j, k]
             for i in range(motion):
                 for j in range(r):
-                    sources[at, i, j] = x[i, 1 + size + j]
+                    sources[row, i, j] = stages[0, i, 1 + size + j, k]
 
 
 @kernel
@@ -225,9 +299,10 @@ def add_derivatives(steps: Steps, start: Floats, end: Floats, directions: Floats
 
     They are taken at the starts of steps, or, if `between`, in the middles of Runge-Kutta steps on straight lines.
     """
-    program, (n, size), chains = steps.basis, start.shape, directions.shape[1]
+    (n, size), chains = start.shape, directions.shape[1]
+    program = Program(steps.basis.code, steps.basis.outputs, steps.basis.registers.copy())
     tangents = np.zeros((program.registers.shape[0], chains))
-    model = steps.program
+    model = Program(steps.program.code, steps.program.outputs, steps.program.registers.copy())
     of_model = np.zeros((model.registers.shape[0] if steps.implicit else 0, chains))
     free = len(model.outputs) - chains * (chains + 1)
     for row in range(n):
@@ -239,13 +314,13 @@ def add_derivatives(steps: Steps, start: Floats, end: Floats, directions: Floats
                 program.registers[i] = start[row, i] + fraction * moved
                 for c in range(chains):
                     tangents[i, c] = directions[row, c, i] / count
-            _set_inputs(program, steps.inputs, size, row, fraction)
+            _set_inputs(program.registers, steps.inputs, size, row, fraction)
             if steps.implicit:
                 for i in range(size):
                     model.registers[i] = program.registers[i]
                     for c in range(chains):
                         of_model[i, c] = tangents[i, c]
-                _set_inputs(model, steps.inputs, size, row, fraction)
+                _set_inputs(model.registers, steps.inputs, size, row, fraction)
                 run_tape(model, of_model)
                 for e in range(chains):
                     register = size + steps.inputs.shape[1] + e

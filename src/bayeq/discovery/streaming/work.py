@@ -214,7 +214,7 @@ def _centred(
     code: NDArray[np.uint32], outputs: NDArray[np.uint32], registers: Floats, rows: int, shift: Floats, z: Floats
 ) -> None:
     """Evaluate the terms on the registers, and write them, less `shift`, to the first rows of z (C, R)."""
-    run_on_rows(code, registers, rows)
+    run_on_rows(code, registers, rows, None)
     for i in range(len(outputs)):
         value, out, centre = registers[outputs[i]], z[i], shift[i]
         for j in range(rows):
