@@ -45,9 +45,6 @@ MOST_ROWS = 6
 # A longer answer of one equation has terms in lines instead of tables, and no empty line above the checks.
 MOST_LINES = 16
 
-# Functions of a displacement that are not linear; more of them may be a series for another function.
-MOST_BENT = 2
-
 # Parameters that follow from others and are not printed.
 DERIVED = ("omega_n",)
 
@@ -93,7 +90,7 @@ def _answer(eq: Answer, physical: PhysicalParameters | None, compact: bool) -> l
     for one in eq.equations:
         which = f"{one.target}: " if len(eq.equations) > 1 else ""
         small = [[_wrapped(which + said) for said in text.unseen(one, few, ADVICE)] for few in (FEW, 1)]
-        others = (_wrapped(which + said) for said in (*failed(one), *series(one), *offset(one)))
+        others = (_wrapped(which + said) for said in (*failed(one), *offset(one)))
         checked += chain.from_iterable([*others, *min(small, key=lambda said: sum(map(len, said)))])
     checked += chain.from_iterable(map(_wrapped, (*copies(eq), *text.given_of(eq))))
     return [*lines, *([] if compact else [""]), *checked, *_wrapped(text.source_of(eq, short=True))]
@@ -267,16 +264,6 @@ def checks(eq: Answer) -> str:
     if all(not list(failed(one)) and one.verdict.kind == "found" for one in eq.equations):
         parts.append("what is left looks like noise")
     return printable(f"checked on {pairs[0][1].n} {where}: {', '.join(parts)}")
-
-
-def series(equation: Equation) -> Iterator[str]:
-    """A hint if many terms in the displacement are not linear: they may be a series for a kink, and the slope at rest
-    is then not that of the spring."""
-    x = equation.chain.names[0]
-    bent = [term.text for term in equation.terms if term.text in equation.shown and term.names == {x}]
-    bent = [name for name in bent if name != x]
-    if equation.chain.order == 2 and len(bent) > MOST_BENT and not equation.constants:
-        yield f"{', '.join(bent)} may be a kink, and {x} off: try --dictionary 'oscillator + max({x}-{{g}},0)'"
 
 
 def offset(equation: Equation) -> Iterator[str]:

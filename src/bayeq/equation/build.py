@@ -27,6 +27,7 @@ from bayeq.equation.verdict import (
     suspecting,
     window_errors,
     with_clipping,
+    with_kinks,
 )
 from bayeq.equation.written import chance
 from bayeq.errors import (
@@ -255,6 +256,12 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
     # what a small lag leaves goes with a slope, and so seems to be a quarter of a period late: the likelihood knows it
     if regression.suspect is not None and regression.suspect.off in ("lag", "high-pass"):
         suspect = regression.suspect
+    kinks, chain = regression.kinks, equation.chain
+    if suspect is not None and suspect.off != "filter" and kinks is not None and 0.5 * suspect.sds**2 < kinks.gain:
+        suspect = None
+    if suspect is None and kinks is not None and not chain.stated:
+        pulses = kinks.name in regression.motion.roles.inputs and not (chain.static or chain.discrete)
+        verdict = with_kinks(verdict, kinks, pulses)
     if suspect is not None and (late or verdict.kind in ("nearly true", "found") or verdict.advice == LONGER):
         seconds = [float(np.ptp(rows.time)) for rows in regression.motion.train if rows.time is not None]
         verdict = suspecting(verdict, suspect, max(seconds))

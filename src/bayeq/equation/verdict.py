@@ -18,6 +18,7 @@ from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import typical_period, window_runs
 from bayeq.forecast.rows import divided, rows_of
 from bayeq.likelihood.channels import Suspect
+from bayeq.likelihood.hinges import Kinks
 from bayeq.numerics.settings import EQUATION
 from bayeq.regression.regression import Regression
 from bayeq.regression.residuals import Fit
@@ -165,6 +166,22 @@ def suspecting(verdict: Verdict, found: Suspect, seconds: float) -> Verdict:
     if verdict.kind == "found":
         return Verdict("nearly true", f"other channels contradict {name}", advice)
     return replace(verdict, advice=advice)
+
+
+def with_kinks(verdict: Verdict, kinks: Kinks, pulses: bool) -> Verdict:
+    """The verdict, at best nearly true, where a function that no candidate has makes the law likelier.
+
+    It is no reason for doubt by itself in an input of motion with `pulses`, whose courses between samples look like it.
+    Where there is no equation it is the cause if it leaves nearly nothing.
+    """
+    at = " and ".join(f"{place:.2g}" for place in kinks.places)
+    kind = "a kink" if kinks.alone else "a function that bends"
+    said, offer = f"{kinks.name} has {kind} near {at}, which no candidate has", f"offer {', '.join(kinks.terms)}"
+    if (verdict.kind == "none" and not kinks.left < EQUATION.nothing_else) or (verdict.kind == "found" and pulses):
+        return verdict
+    if verdict.kind == "found":
+        return Verdict("nearly true", said, f"{CAREFUL}: {offer}")
+    return replace(verdict, advice=f"{said}: {offer}")
 
 
 # Words of a verdict on a clipped channel.

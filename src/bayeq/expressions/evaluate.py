@@ -177,30 +177,43 @@ def run_tape(program: Program, tangents: Floats | None) -> None:
             if tangents is not None:
                 for j in range(tangents.shape[1]):
                     tangents[to, j] = -tangents[left, j]
-        elif opcode == POWER:
-            value = a**b
-            if tangents is not None:
-                for j in range(tangents.shape[1]):
-                    # a factor that is 0 leaves out what would be infinite or undefined
-                    slope = b * a ** (b - 1.0) * tangents[left, j] if tangents[left, j] != 0.0 else 0.0
-                    if tangents[right, j] != 0.0:
-                        slope += value * math.log(a) * tangents[right, j]
-                    tangents[to, j] = slope
-        elif opcode >= PAIRS:
-            value, by_a, by_b = apply_pair(opcode, a, b)
-            if tangents is not None:
-                for j in range(tangents.shape[1]):
-                    slope = by_a * tangents[left, j] if tangents[left, j] != 0.0 and by_a != 0.0 else 0.0
-                    if tangents[right, j] != 0.0 and by_b != 0.0:
-                        slope += by_b * tangents[right, j]
-                    tangents[to, j] = slope
         else:
-            value = apply_function(opcode, a, False)
+            value = _value(opcode, a, b)
             if tangents is not None:
-                slope = apply_function(opcode, a, True)
                 for j in range(tangents.shape[1]):
-                    tangents[to, j] = slope * tangents[left, j] if tangents[left, j] != 0.0 else 0.0
+                    tangents[to, j] = _slope(opcode, a, b, tangents[left, j], tangents[right, j])
         registers[to] = value
+
+
+@kernel(borrowing=True)
+def _value(opcode: int, a: float, b: float) -> float:
+    """Value of a power or a function."""
+    if opcode == POWER:
+        return a**b
+    if opcode >= PAIRS:
+        return apply_pair(opcode, a, b)[0]
+    return apply_function(opcode, a, False)
+
+
+@kernel(borrowing=True)
+def _slope(opcode: int, a: float, b: float, along_a: float, along_b: float) -> float:
+    """Derivative of a power or a function along a direction of its arguments; a factor that is 0 leaves out what would
+    be infinite or undefined."""
+    slope = 0.0
+    if opcode == POWER:
+        if along_a != 0.0:
+            slope = b * a ** (b - 1.0) * along_a
+        if along_b != 0.0:
+            slope += a**b * math.log(a) * along_b
+    elif opcode >= PAIRS:
+        _, by_a, by_b = apply_pair(opcode, a, b)
+        if along_a != 0.0 and by_a != 0.0:
+            slope = by_a * along_a
+        if along_b != 0.0 and by_b != 0.0:
+            slope += by_b * along_b
+    elif along_a != 0.0:
+        slope = apply_function(opcode, a, True) * along_a
+    return slope
 
 
 @dataclass(frozen=True, eq=False)
@@ -376,20 +389,14 @@ def run_on_rows(code: IndexArray, registers: Floats, rows: int, tangents: RowTan
         elif opcode == SIGN:
             for k in range(rows):
                 out[k] = a[k] if a[k] == 0.0 or a[k] != a[k] else np.copysign(1.0, a[k])
-        elif opcode == POWER:
-            for k in range(rows):
-                out[k] = a[k] ** b[k]
-        elif opcode >= PAIRS:
-            for k in range(rows):
-                out[k] = apply_pair(opcode, a[k], b[k])[0]
         else:
             for k in range(rows):
-                out[k] = apply_function(opcode, a[k], False)
+                out[k] = _value(opcode, a[k], b[k])
 
 
 @kernel(borrowing=True)
 def _tangents_on_rows(instruction: IndexArray, registers: Floats, rows: int, tangents: Floats, depends: Bools) -> None:
-    """Derivatives of an instruction's result; a factor of 0 leaves out what would be infinite or undefined."""
+    """Derivatives of an instruction's result."""
     opcode, to, left, right = instruction[0], instruction[1], instruction[2], instruction[3]
     for j in range(tangents.shape[1]):
         if not depends[j]:
@@ -417,23 +424,3 @@ def _tangents_on_rows(instruction: IndexArray, registers: Floats, rows: int, tan
                 by_a, by_b = tangents[left, j, k], tangents[right, j, k]
                 a, b = registers[left, k], registers[right, k]
                 tangents[to, j, k] = _slope(opcode, a, b, by_a, by_b)
-
-
-@kernel(borrowing=True)
-def _slope(opcode: int, a: float, b: float, along_a: float, along_b: float) -> float:
-    """Derivative of a power or a function along a direction of its arguments."""
-    slope = 0.0
-    if opcode == POWER:
-        if along_a != 0.0:
-            slope = b * a ** (b - 1.0) * along_a
-        if along_b != 0.0:
-            slope += a**b * math.log(a) * along_b
-    elif opcode >= PAIRS:
-        _, by_a, by_b = apply_pair(opcode, a, b)
-        if along_a != 0.0 and by_a != 0.0:
-            slope = by_a * along_a
-        if along_b != 0.0 and by_b != 0.0:
-            slope += by_b * along_b
-    elif along_a != 0.0:
-        slope = apply_function(opcode, a, True) * along_a
-    return slope

@@ -20,6 +20,7 @@ from bayeq.arrays import Floats, Ints
 from bayeq.likelihood.channels import Suspect, suspects_of
 from bayeq.likelihood.filter import run_filter
 from bayeq.likelihood.fit import State, Statistics, adjoints, corrections, maximised, of_inputs, solved
+from bayeq.likelihood.hinges import Kinks, kinks_of
 from bayeq.likelihood.levels import Levels
 from bayeq.likelihood.model import Fitted, Task
 from bayeq.numerics.distributions import Z95, Shape, excess_of, incomplete_beta, shape_of
@@ -90,6 +91,7 @@ class Adequacy:
     shapes: Mapping[str, Shape] = field(default_factory=dict)  # of the standardised innovations of these channels
     changes: tuple[Change, ...] = ()  # of the coefficients of the model
     suspects: tuple[Suspect, ...] = ()  # channels that others contradict
+    kinks: Mapping[int, Kinks] = field(default_factory=dict)  # that no candidate has, by the number of the equation
 
     @property
     def limit(self) -> float:
@@ -143,7 +145,8 @@ def adequacy_of(task: Task, fitted: Fitted) -> Adequacy:
     discrepancies = [_discrepancy(task, state, here.value, c, interval) for c in range(task.layout.chains)]
     changes = changes_of(task, state, here, fitted.power)
     innovations, suspects = _innovations(task, state, here.delta, interval), suspects_of(task, state, here)
-    return Adequacy(tuple(discrepancies), *innovations, changes, suspects)
+    kinks = kinks_of(task, fitted, any(one.p <= LIKELIHOOD.test_level for one in discrepancies))
+    return Adequacy(tuple(discrepancies), *innovations, changes, suspects, kinks)
 
 
 def changes_of(task: Task, state: State, here: Statistics, power: float) -> tuple[Change, ...]:

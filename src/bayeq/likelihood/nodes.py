@@ -108,7 +108,7 @@ def on_gram(task: Task, fitted: Fitted, family: Sequence[int], values: Sequence[
         terms = with_values(layout.terms, one)
         others += [terms[j] for j in family]
         others += [derivative(terms[j], name) for j, name in names]
-    q, precision, odds = _beside(task, fitted, others, [*family, *(j for j, _ in names)])
+    q, precision, odds = beside(task, fitted, others, [*family, *(j for j, _ in names)])
     wide, each, held = P + len(others) + 1, len(family) + len(names), fitted.model.reshape(C, -1)
     pairs = [(c, j) for c, j in itertools.product(range(C), family) if task.allowed[c, j]]
     inside = [(c, j) for c, j in pairs if held[c, j]]
@@ -172,7 +172,7 @@ def _node(
     return GridNode(moved, score + price, found.ravel(), theta[:, : P + 1][found], before)
 
 
-def _beside(
+def beside(
     task: Task, fitted: Fitted, others: Sequence[Expression], each: Sequence[int]
 ) -> tuple[Quadratic, Floats, Floats]:
     """The likelihood, about zero, with further terms `others`, and prior precision and log odds of all. Further terms

@@ -264,12 +264,8 @@ def integrate(
     for i in range(size):
         tangents.values[i, i], tangents.depends[i, i] = 1.0, True
     dependence(steps.program.code, tangents.depends)
-    reach, powers, power = (
-        np.zeros((motion, 1 + size + r), dtype=np.bool_),
-        np.zeros((size, size, most)),
-        np.empty(most),
-    )
-    stages, widths, stop = np.zeros((STAGES, motion, 1 + size + r, most)), np.empty(most), 0
+    reach, stages = np.zeros((motion, 1 + size + r), dtype=np.bool_), np.zeros((STAGES, motion, 1 + size + r, most))
+    powers, power, widths, stop = np.zeros((size, size, most)), np.empty(most), np.empty(most), 0
     while stop < len(order):
         start, count = stop, steps.substeps[order[stop]]
         while stop < min(start + most, len(order)) and steps.substeps[order[stop]] == count:

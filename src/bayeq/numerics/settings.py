@@ -137,6 +137,10 @@ class LikelihoodSettings:
     neighbour_window: float = setting(6.0, "Models one flip or swap away within this on the Gram matrix are fitted; "
         "where the included terms fit worse than that, only models that were fitted are averaged.",
         "set on simulated records", "nats")
+    kink_places: int = setting(20, "Hinges of a state that are tried beside the candidates, at even quantiles.",
+        "`kinks.csv`")
+    least_kink: float = setting(0.25, "A kink is named from this share of the largest change of slope on.",
+        "`kinks.csv`")
     neighbours: int = setting(8, "... at most this many of them from each model.", "set on simulated records")
     most_growth: float = setting(3.0, "A first model is cut down where a deviation from the path grows by more than "
         "this factor in a sample, or a step ends further from the path in standard deviations: no motion that was "
@@ -280,6 +284,8 @@ class EquationSettings:
     as_the_mean: float = setting(1.0, "Runs over windows of a period that err by this much, over the spread and "
         "noise of the whole motion, beside what noise in the first state explains, are `none`: the mean would do as "
         "well.", unit="times")
+    nothing_else: float = setting(0.02, "A kink is why there is no equation if it leaves less of the target.",
+        "`tests/test_hinges.py`")
     at_rest: float = setting(0.1, "Rows held out are at rest where their signal is below this share of that of the "
         "whole motion: R2 is then by the variance of the whole motion.", "`tests/test_verdict.py`")
     doubt: float = setting(0.05, "An equation is not determined where models that predict otherwise have more "

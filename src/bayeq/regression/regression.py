@@ -21,6 +21,7 @@ from bayeq.inference.posterior import Posterior, Projected
 from bayeq.likelihood.adequacy import Change, Discrepancy, Octave
 from bayeq.likelihood.channels import Suspect
 from bayeq.likelihood.fit import solved
+from bayeq.likelihood.hinges import Kinks
 from bayeq.likelihood.projection import projected
 from bayeq.likelihood.record_fit import RecordFit
 from bayeq.numerics.distributions import Shape
@@ -91,6 +92,11 @@ class Regression:
     @property
     def suspect(self) -> Suspect | None:
         """A channel that others contradict, or that was filtered; None for rows."""
+        return None
+
+    @property
+    def kinks(self) -> Kinks | None:
+        """Kinks that no candidate has, if the law is likelier with them; None for rows."""
         return None
 
     @property
@@ -281,6 +287,10 @@ class RecordRegression(Regression):
     @property
     def suspect(self) -> Suspect | None:
         return self.record.adequacy.suspect([*filter(None, self.chain.measured), *self.motion.roles.inputs])
+
+    @property
+    def kinks(self) -> Kinks | None:
+        return self.record.adequacy.kinks.get(self.k)
 
     @property
     def tau(self) -> float:
