@@ -1,6 +1,6 @@
-"""At the first run after installation a second process compiles half of the kernels, so that the wait is half as long.
+"""At the first run after installation a second process compiles half of the kernels, so that the wait is shorter.
 
-A first `bayeq discover` of 4,000 rows took 24 s on two cores, and 13 s with it (``python -m perf.startup --first``).
+A first `bayeq discover` of 4,000 rows took 24.6 s on two cores, and 17.3 s with it (medians of two, taking turns).
 """
 
 from __future__ import annotations
