@@ -421,6 +421,5 @@ def _tangents_on_rows(instruction: IndexArray, registers: Floats, rows: int, tan
                 tangents[to, j, k] = -tangents[left, j, k]
         else:
             for k in range(rows):
-                by_a, by_b = tangents[left, j, k], tangents[right, j, k]
                 a, b = registers[left, k], registers[right, k]
-                tangents[to, j, k] = _slope(opcode, a, b, by_a, by_b)
+                tangents[to, j, k] = _slope(opcode, a, b, tangents[left, j, k], tangents[right, j, k])

@@ -25,7 +25,7 @@ from bayeq.inference.collapsed.search import best_models
 from bayeq.inference.collapsed.slab import exact_posterior
 from bayeq.likelihood.fit import State, coefficients
 from bayeq.likelihood.model import NOTICED, Fitted, Task, from_all_levels, with_model
-from bayeq.likelihood.nodes import beside, extended
+from bayeq.likelihood.nodes import beside
 from bayeq.likelihood.search import CLEARLY
 from bayeq.numerics.settings import LIKELIHOOD
 
@@ -69,14 +69,16 @@ def kinks_of(task: Task, fitted: Fitted, lacking: bool) -> dict[int, Kinks]:
         return {}
     own = [layout.terms[j] for j in set(fitted.state.chosen.term.tolist()) if j < len(layout.terms)]
     arguments = [parse(name, layout.names) for name in (*layout.roles.states, *layout.roles.inputs)]
-    arguments += [term for term in layout.terms if _is_difference(term)]
-    if not arguments[len(layout.roles.states) + len(layout.roles.inputs) :]:
-        moving = [chain.names[0] for chain in layout.roles.chains if chain.order == 2]
-        arguments += [parse(f"{a}-{b}", layout.names) for a, b in pairwise(moving)]
+    moving = [chain.names[0] for chain in layout.roles.chains if chain.order == 2]
+    differences = [term for term in layout.terms if _is_difference(term)]
+    arguments += differences or [parse(f"{a}-{b}", layout.names) for a, b in pairwise(moving)]
     held = [term.names for term in own if term.unknowns]
-    tried = [one for one in arguments if lacking or any(_function_of(one, term) for term in own)]
-    tried = [one for one in tried if one.names not in held]
-    proposals = [one for argument in tried if (one := _proposal(task, fitted, argument)) is not None]
+    proposals = [
+        one
+        for argument in arguments
+        if argument.names not in held and (lacking or any(_function_of(argument, term) for term in own))
+        if (one := _proposal(task, fitted, argument)) is not None
+    ]
     for one in sorted(proposals, key=lambda one: -one.gain):
         with suppress(np.linalg.LinAlgError):
             best = _fit(one)
@@ -102,8 +104,7 @@ def _function_of(argument: Expression, term: Expression) -> bool:
 def _kinks(one: _Proposal, best: Fitted, gain: float) -> dict[int, Kinks]:
     """The kinks of each equation: neighbouring hinges that bend the same way are one, about their centre. Their places
     are those of the equation that bends most, so that one constant each is offered to all."""
-    found, most, layout, K = dict[int, Kinks](), 0.0, one.task.layout, len(one.grid) - 2
-    common = Kinks(one.argument.text, gain, (), (), alone=False, left=0.0)
+    found, most, layout, K = dict[int, tuple[bool, float]](), 0.0, one.task.layout, len(one.grid) - 2
     model = best.model.reshape(layout.chains, -1)
     theta = coefficients(layout, best.state).reshape(layout.chains, -1)
     bent = [j for j, term in enumerate(layout.terms[:-K]) if _function_of(one.argument, term)]
@@ -117,12 +118,11 @@ def _kinks(one: _Proposal, best: Fitted, gain: float) -> dict[int, Kinks]:
         about = [(k, float(np.average(one.grid[k], weights=sizes[k - 1]))) for _, k in kinks[:MOST]]
         places = sorted((float(one.grid[k[0] - 1]), place, float(one.grid[k[-1] + 1])) for k, place in about)
         if places:
-            alone, left = len(kinks) <= MOST and not model[c, bent].any(), float(best.state.levels.kappa[c])
-            found[c] = common._replace(alone=alone, left=left)
+            found[c] = len(kinks) <= MOST and not model[c, bent].any(), float(best.state.levels.kappa[c])
             if kinks[0][0] > most:
                 most, offered = kinks[0][0], places
     at, terms = tuple(place for _, place, _ in offered), tuple(_offered(one, offered))
-    return {c: kinks._replace(places=at, terms=terms) for c, kinks in found.items()}
+    return {c: Kinks(one.argument.text, gain, at, terms, *own) for c, own in found.items()}
 
 
 def _offered(one: _Proposal, places: Sequence[tuple[float, float, float]]) -> Iterator[str]:
@@ -130,12 +130,10 @@ def _offered(one: _Proposal, places: Sequence[tuple[float, float, float]]) -> It
     has its middle if it is beside 0."""
     low, rest, high = one.grid[[1, len(one.grid) // 2, -2]]
     rest = 0.0 if low < 0.0 < high else float(rest)
-    taken = {*one.task.layout.names, *constants_of(one.task.layout.terms)}
+    text, taken = one.argument.text, {*one.task.layout.names, *constants_of(one.task.layout.terms)}
     letters = (name for k in count() for letter in "gh" if (name := f"{letter}{k or ''}") not in taken)
     for (first, place, last), letter in zip(places, letters, strict=False):
-        way, of = (1.0, one.argument.text) if place > rest else (-1.0, f"-({one.argument.text})")
-        if place < rest and one.argument.text.isidentifier():
-            of = f"-{one.argument.text}"
+        way, of = (1.0, text) if place > rest else (-1.0, f"-{text}" if text.isidentifier() else f"-({text})")
         least, most = sorted((way * first, way * last))
         yield f"max({of}-{{{letter}:{in_digits(max(least, way * rest) + 0.0, 3)}..{in_digits(most, 3)}}},0)"
 
@@ -155,13 +153,13 @@ def _proposal(task: Task, fitted: Fitted, argument: Expression) -> _Proposal | N
         return None
     hinges = [parse(f"max({argument.text}-({place!r}),0)", layout.names) for place in grid[1:-1].tolist()]
     like = next((j for j, term in enumerate(layout.terms) if term.text == argument.text), 0)
-    q, precision, odds = beside(task, fitted, hinges, [like])
-    odds, (own, state) = odds.reshape(C, -1), extended(task, fitted.state, hinges)
+    q, own, state = beside(task, fitted, hinges, [like])
+    odds = own.log_odds.reshape(C, -1)
     stated = np.array([chain.stated for chain in layout.roles.chains])
     odds[:, P:-1] = np.where(stated, -math.inf, np.median(task.log_odds[np.isfinite(task.log_odds)]))[:, None]
     without = odds.copy()
     without[:, P:-1] = -math.inf
-    own = replace(own, precision=precision, log_odds=odds.ravel())
+    own = replace(own, log_odds=odds.ravel())
     here = own.model(state.chosen)
     others = np.array([not _function_of(argument, term) for term in layout.terms] + [True] * (len(grid) - 1))
     bare = (here.reshape(C, -1) & others).ravel()
@@ -176,7 +174,7 @@ def _proposal(task: Task, fitted: Fitted, argument: Expression) -> _Proposal | N
         return None
     coef, _ = exact_posterior(problem, model, None)
     chosen = own.layout.everything.take(np.flatnonzero(model))
-    start = replace(state, chosen=chosen, theta=(coef / np.sqrt(precision))[model])
+    start = replace(state, chosen=chosen, theta=(coef / np.sqrt(own.precision))[model])
     return _Proposal(argument, score - before, grid, own, start)
 
 

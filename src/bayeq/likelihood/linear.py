@@ -98,8 +98,7 @@ def linearise(
     end, transition, sources, target, gradient = arrays(
         (n - 1, size), (n - 1, size, size), (n - 1, layout.motion, len(theta)), (n, chains), (n, chains, size)
     )
-    order = np.argsort(steps.substeps, kind="stable")
-    integrate(steps, chosen, True, path, order, 0, end, transition, sources, target, gradient)
+    integrate(steps, chosen, True, path, steps.order(0, n), 0, end, transition, sources, target, gradient)
     open_to = np.ones((n, chains))
     held = [hold for hold in blur.holds if layout.jumps_in(chosen)[hold.jump]]
     for hold in held:
@@ -215,8 +214,7 @@ def sources_of(linear: Linear, chosen: Candidates, first: int, stop: int) -> Flo
     if chosen is linear.chosen or r == 0:
         return linear.sources[first:stop, :, :r]
     out, steps = np.empty((stop - first, linear.steps.motion, r)), linear.steps
-    order = first + np.argsort(steps.substeps[first:stop], kind="stable")
-    no_ends, no_slopes = np.empty((0, 0)), np.empty((0, 0, 0))
+    order, no_ends, no_slopes = steps.order(first, stop), np.empty((0, 0)), np.empty((0, 0, 0))
     integrate(steps, chosen, False, linear.path, order, first, no_ends, no_slopes, out, no_ends, no_slopes)
     for rows, left in linear.holds:
         inside = (first <= rows) & (rows < stop)

@@ -108,7 +108,7 @@ def on_gram(task: Task, fitted: Fitted, family: Sequence[int], values: Sequence[
         terms = with_values(layout.terms, one)
         others += [terms[j] for j in family]
         others += [derivative(terms[j], name) for j, name in names]
-    q, precision, odds = beside(task, fitted, others, [*family, *(j for j, _ in names)])
+    q, whole, _ = beside(task, fitted, others, [*family, *(j for j, _ in names)])
     wide, each, held = P + len(others) + 1, len(family) + len(names), fitted.model.reshape(C, -1)
     pairs = [(c, j) for c, j in itertools.product(range(C), family) if task.allowed[c, j]]
     inside = [(c, j) for c, j in pairs if held[c, j]]
@@ -118,7 +118,7 @@ def on_gram(task: Task, fitted: Fitted, family: Sequence[int], values: Sequence[
         column[list(family)] = P + k * each + np.arange(len(family))
         column = np.append(column, P + k * each + len(family) + np.arange(len(names)))
         at = (np.arange(C)[:, None] * wide + column).ravel()
-        own = replace(task, precision=precision[at], log_odds=odds[at])
+        own = replace(task, precision=whole.precision[at], log_odds=whole.log_odds[at])
         here = Quadratic(q.level, q.slope[at], q.information[np.ix_(at, at)])
         found = [GridNode(one, -math.inf, np.zeros(C * (P + 1), dtype=np.bool_), np.zeros(0), -math.inf)]
         for forced in [inside] if inside else [[pair] for pair in pairs]:
@@ -174,8 +174,8 @@ def _node(
 
 def beside(
     task: Task, fitted: Fitted, others: Sequence[Expression], each: Sequence[int]
-) -> tuple[Quadratic, Floats, Floats]:
-    """The likelihood, about zero, with further terms `others`, and prior precision and log odds of all. Further terms
+) -> tuple[Quadratic, Task, State]:
+    """The likelihood, about zero, with further terms `others`, the task with these, and the state there. Further terms
     come in groups like the terms `each`, and have their priors, with precision in proportion to the variance."""
     layout, P = task.layout, len(task.layout.terms)
     own, state = extended(task, fitted.state, others)
@@ -189,7 +189,7 @@ def beside(
     ratio = inside / np.maximum(base, 1e-300)
     precision = np.hstack([precision[:, :-1], precision[:, like] * ratio, precision[:, -1:]])
     odds = np.hstack([odds[:, :-1], odds[:, like], odds[:, -1:]])
-    return q, precision.ravel(), odds.ravel()
+    return q, replace(own, precision=precision.ravel(), log_odds=odds.ravel()), state
 
 
 def extended(task: Task, state: State, others: Sequence[Expression]) -> tuple[Task, State]:

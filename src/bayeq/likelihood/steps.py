@@ -42,6 +42,10 @@ class Steps(NamedTuple):
     implicit: bool
     discrete: bool  # whether the program gives next values in place of rates: nothing is integrated
 
+    def order(self, first: int, stop: int) -> Ints:
+        """Samples `first` to `stop`, those of as many steps together."""
+        return first + np.argsort(self.substeps[first:stop], kind="stable")
+
 
 # Rows that are integrated at a time, so that their arithmetic is vectorised, and the floats (2 MB) that their tangents
 # may take.
@@ -63,22 +67,26 @@ class Work(NamedTuple):
 
 
 @kernel(borrowing=True)
+def _between(inputs: Floats, row: int, i: int, fraction: float) -> float:
+    """A given variable or width of jumps at a fraction of the interval after a sample."""
+    rest = 1.0 - fraction
+    bend = inputs[row, i, 2] + fraction * inputs[row, i, 3]
+    return rest * inputs[row, i, 0] + fraction * inputs[row, i, 1] + fraction * rest * bend
+
+
+@kernel(borrowing=True)
 def _set_inputs(registers: Floats, inputs: Floats, size: int, row: int, fraction: float) -> None:
     """Puts given variables and widths of jumps, at a fraction of the interval after a sample, into the registers."""
-    rest = 1.0 - fraction
     for k in range(inputs.shape[1]):
-        p = inputs[row, k]
-        registers[size + k] = rest * p[0] + fraction * p[1] + fraction * rest * (p[2] + fraction * p[3])
+        registers[size + k] = _between(inputs, row, k, fraction)
 
 
 @kernel(borrowing=True)
 def _set_rows(registers: Floats, inputs: Floats, size: int, rows: Ints, fraction: float) -> None:
     """As `_set_inputs`, for some rows."""
-    rest = 1.0 - fraction
     for i in range(inputs.shape[1]):
         for k in range(len(rows)):
-            p = inputs[rows[k], i]
-            registers[size + i, k] = rest * p[0] + fraction * p[1] + fraction * rest * (p[2] + fraction * p[3])
+            registers[size + i, k] = _between(inputs, rows[k], i, fraction)
 
 
 @kernel(borrowing=True)
