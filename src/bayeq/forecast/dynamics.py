@@ -204,9 +204,9 @@ def finest_step(dynamics: Dynamics, parameters: Floats, states: Floats, drive: D
 
 def _spread(column: Floats) -> float:
     """Half the range of the middle 68 %, a normal distribution's standard deviation: huge values have no squares."""
-    finite = column[np.isfinite(column)]
+    finite = np.sort(column[np.isfinite(column)])
     if not len(finite):
         return 1.0
-    low, high = np.quantile(finite, [0.16, 0.84])
+    low, high = finite[[round(0.16 * (len(finite) - 1)), round(0.84 * (len(finite) - 1))]]
     spread = 0.5 * float(high - low)
     return spread if spread > 0 else max(float(np.abs(finite).max()), 1e-300)

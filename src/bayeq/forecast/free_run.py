@@ -436,9 +436,12 @@ def window_runs(
         if length < least:
             continue
         count = max(1, round(WINDOWS * rows.n / len(whole)))
+        step = drive.step
         for first in np.linspace(0, rows.n - length, count).astype(int):
             end = first + length
-            run, _, _ = mean_run(dynamics, theta, known[first] + off, drive.part(first, end))
+            # a step that another window needed is not too long for this one
+            run, _, needed = mean_run(dynamics, theta, known[first] + off, drive.part(first, end)._replace(step=step))
+            step = needed.step
             out.append((run / scale, known[first:end] / scale))
     return out
 

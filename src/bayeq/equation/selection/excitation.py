@@ -124,9 +124,10 @@ def _frequency(time: Floats, columns: Floats) -> float | None:
         return None
 
     def left(frequency: float) -> float:
+        """The sum of squares that three harmonics leave, less that of the columns."""
         design = _harmonics(time, frequency, 3)
-        coef = np.linalg.lstsq(design, columns, rcond=None)[0]
-        return float(((columns - design @ coef) ** 2).sum())
+        products = design.T @ columns
+        return -float((products * np.linalg.solve(design.T @ design, products)).sum())
 
     best, width = peak / length, 1.0 / length
     for _ in range(3):
@@ -138,10 +139,9 @@ def _frequency(time: Floats, columns: Floats) -> float | None:
 
 def _harmonics(time: Floats, frequency: float, count: int) -> Floats:
     """Design matrix: a constant, then cosine and sine of every harmonic."""
-    angle = 2.0 * np.pi * frequency * time[:, None] * np.arange(1, count + 1)
-    return np.column_stack(
-        [np.ones(len(time)), np.stack([np.cos(angle), np.sin(angle)], axis=2).reshape(len(time), -1)]
-    )
+    design, first = np.ones((len(time), 1 + 2 * count)), np.exp(2j * np.pi * frequency * time)
+    design[:, 1:] = np.cumprod(np.repeat(first[:, None], count, axis=1), axis=1).view(np.float64)
+    return design
 
 
 def _is_noise(left: Floats, step: float, below: float) -> bool:
