@@ -168,7 +168,7 @@ def state_space_gaussian(linear, chosen, noise):
     """The joint Gaussian of all samples of a linearised record: level, slope and information of the coefficients.
 
     Returned with them are the mean of the states' deviations from the path, given the samples and coefficients, and the
-    covariance of each state.
+    covariance of each state. A pull adds a linear function of the states to the log density.
     """
     n, size = linear.path.shape
     r = len(chosen.chain)
@@ -205,13 +205,18 @@ def state_space_gaussian(linear, chosen, noise):
     solved = np.linalg.solve(C, np.column_stack([left, design]))
     level = -0.5 * (left @ solved[:, 0] + np.linalg.slogdet(2 * np.pi * C)[1])
 
+    given = mean + cov @ H.T @ solved * np.append(1.0, -np.ones(r))
+    pull = linear.pull.ravel() if len(linear.pull) else np.zeros(n * size)
+    moved = cov @ pull - cov @ H.T @ np.linalg.solve(C, H @ cov @ pull)
+    level += pull @ given[:, 0] + 0.5 * pull @ moved
+    slope = design.T @ solved[:, 0] + given[:, 1:].T @ pull
+
     def smoothed(delta):
-        ahead = mean[:, 0] + mean[:, 1:] @ delta
-        return (ahead + cov @ H.T @ (solved[:, 0] - solved[:, 1:] @ delta)).reshape(n, size)
+        return (given @ np.append(1.0, delta)).reshape(n, size)
 
     across = (cov @ H.T).reshape(n, size, -1)
     left_out = np.einsum(
         "nia,nja->nij", across, np.linalg.solve(C, across.reshape(n * size, -1).T).T.reshape(across.shape)
     )
     own = np.einsum("ninj->nij", cov.reshape(n, size, n, size)) - left_out
-    return level, design.T @ solved[:, 0], design.T @ solved[:, 1:], smoothed, own
+    return level, slope, design.T @ solved[:, 1:], smoothed, own

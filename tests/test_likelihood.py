@@ -292,7 +292,7 @@ def test_a_step_to_no_number_is_no_fit(monkeypatch):
     record = from_all_rows()[0].fit.regression.record
     task, fitted = record.task, record.fitted
     nowhere = replace(fitted.state, theta=np.full(len(fitted.state.theta), np.nan))
-    monkeypatch.setattr("bayeq.likelihood.model.improved", lambda *given: (nowhere, np.zeros(0)))
+    monkeypatch.setattr("bayeq.likelihood.model.improved", lambda *given: (nowhere, None, np.zeros(0)))
     with pytest.raises(np.linalg.LinAlgError, match="nowhere"):
         fit(task, fitted.state)
 

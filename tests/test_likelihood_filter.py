@@ -11,8 +11,9 @@ from scipy import stats
 from bayeq.dictionary import Variables, build_dictionary
 from bayeq.likelihood.adjoint import adjoint
 from bayeq.likelihood.blur import Blur
+from bayeq.likelihood.determinant import determinant_of
 from bayeq.likelihood.filter import run_filter
-from bayeq.likelihood.fit import State, adjoints, corrections, linearised, log_mean, marginal, maximised, quadratic
+from bayeq.likelihood.fit import State, adjoints, bent_by, linearised, log_mean, marginal, maximised, quadratic
 from bayeq.likelihood.layout import Candidates, Layout, Series
 from bayeq.likelihood.levels import Levels, Scales
 from bayeq.likelihood.linear import sources_of
@@ -91,10 +92,14 @@ def some(chosen, seed):
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow), 2])
 @pytest.mark.parametrize("which", ["chosen", "mixed", "every", "none"])
-def test_is_the_joint_gaussian_of_all_samples(seed, which):
+@pytest.mark.parametrize("pulled", [False, True])
+def test_is_the_joint_gaussian_of_all_samples(seed, which, pulled):
     layout, series, state = system(12, seed, drift=0.9 * (seed == 2))
     [linear] = linearised(layout, [series], state)
-    linear = linear._replace(force=np.random.default_rng(seed).exponential(size=linear.force.shape))
+    rng = np.random.default_rng(seed)
+    linear = linear._replace(force=rng.exponential(size=linear.force.shape))
+    if pulled:
+        linear = linear._replace(pull=rng.normal(size=linear.path.shape) * rng.choice(2, linear.path.shape))
     chosen = {
         "chosen": state.chosen,
         "mixed": some(state.chosen, seed),
@@ -112,6 +117,8 @@ def test_is_the_joint_gaussian_of_all_samples(seed, which):
     if r:
         close(q.slope, slope, 1e-9)
         close(q.information, information, 1e-9)
+    if pulled:  # a pull moves no path
+        return
     delta = 0.1 * np.random.default_rng(seed).normal(size=r)
     adj = adjoint(linear, noise, found, delta, np.zeros((r, r)), smoothed=True)
     close(adj.deviation, smoothed(delta), 1e-9)
@@ -284,7 +291,7 @@ def errors_of_the_score(step, drift):
             for s, noise in [(1.0, state.levels.noise), (-1.0, state.levels.noise)]
         )
         differences.append((up - down) / 2e-4)
-    scores = np.column_stack([corrections(layout, [linear], [adj]).ravel(), quadratic([found]).slope])
+    scores = np.column_stack([determinant_of(layout, [linear], [adj]).slopes.ravel(), quadratic([found]).slope])
     return np.abs(scores - differences).max(axis=0) / np.abs(differences).max(axis=0)
 
 
@@ -425,6 +432,43 @@ def solutions(layout, series, state, draws, rng):
     return paths[:draws], np.where(np.isnan(series.samples), np.nan, samples[:draws])
 
 
+def from_model(seed, n=40, step=0.0125):
+    """A layout, a record drawn from the model, and the state on the path that its coefficients make likeliest."""
+    layout, series, state = system(n, 3, step)
+    state = replace(state, levels=replace(state.levels, courses=np.full(2, 1e-12)))
+    paths, samples = solutions(layout, series, state, 1, np.random.default_rng(seed))
+    series = series._replace(samples=samples[0])
+    return layout, series, settled(layout, series, replace(state, paths=(paths[0],)), 20)[0]
+
+
+@pytest.mark.parametrize("seed", [8, 9])
+def test_the_slope_of_the_log_determinant_counts_that_the_path_moves(seed):
+    layout, series, state = from_model(seed)
+    none, differences, theta = layout.everything.take(np.arange(0)), [], state.theta
+    for j in range(len(theta)):
+        move = 1e-4 * (np.arange(len(theta)) == j)
+        up, down = (
+            parts(run_filter(settled(layout, series, replace(state, theta=one), 20)[1], none, state.levels.noise))[0]
+            for one in (theta + move, theta - move)
+        )
+        differences.append((up - down) / 2e-4)
+    state, linear, found, adj = settled(layout, series, state, 1)
+    bend, bent = bent_by(layout, [linear], state, quadratic([found]), [adj])
+    close(bent, np.array(differences), 5e-3)
+    on_a_fixed_path = bend.slopes[state.chosen.chain, state.chosen.term]
+    assert np.abs(on_a_fixed_path - differences).max() > 0.3 * np.abs(differences).max()
+
+
+def test_a_linear_law_pulls_at_no_path():
+    layout, series, state = system(40)
+    linear_terms = np.flatnonzero([layout.terms[j].text.isidentifier() for j in state.chosen.term])
+    state = replace(state, chosen=state.chosen.take(linear_terms), theta=state.theta[linear_terms])
+    state, linear, found, adj = settled(layout, series, state, 1)
+    bend, bent = bent_by(layout, [linear], state, quadratic([found]), [adj])
+    assert [len(pull) for pull in bend.pulls] == [0]
+    assert np.array_equal(bent, bend.slopes[state.chosen.chain, state.chosen.term])
+
+
 @pytest.mark.statistical(short=70, full=200)
 def test_scores_at_the_truth_are_those_of_draws_from_the_model_itself(number):
     layout, series, state = system(50, step=0.05)
@@ -434,9 +478,9 @@ def test_scores_at_the_truth_are_those_of_draws_from_the_model_itself(number):
     scores, informations, without = [], [], []
     for path, samples in zip(*solutions(layout, series, state, number, np.random.default_rng(8)), strict=True):
         one = series._replace(samples=samples)
-        _, linear, found, adj = settled(layout, one, replace(state, paths=(path,)), 4)
-        q, curved = quadratic([found]), corrections(layout, [linear], [adj])
-        scores.append(q.slope + curved[state.chosen.chain, state.chosen.term])
+        here, linear, found, adj = settled(layout, one, replace(state, paths=(path,)), 4)
+        q = quadratic([found])
+        scores.append(q.slope + bent_by(layout, [linear], here, q, [adj])[1])
         without.append(q.slope)
         informations.append(q.information)
     assert centred(np.array(scores))

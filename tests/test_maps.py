@@ -19,8 +19,9 @@ from bayeq.dictionary import Variables, build_dictionary
 from bayeq.equation.report.page import repeat_command
 from bayeq.errors import ChainError, DataWarning, ExpressionError, InputError
 from bayeq.expressions import parse
+from bayeq.likelihood.determinant import determinant_of
 from bayeq.likelihood.filter import run_filter
-from bayeq.likelihood.fit import State, corrections, linearised, quadratic
+from bayeq.likelihood.fit import State, linearised, quadratic
 from bayeq.likelihood.layout import Candidates, Layout, Series
 from bayeq.likelihood.levels import Levels, Scales
 from bayeq.states import Roles, estimate_motion
@@ -114,7 +115,7 @@ def test_scores_of_all_coefficients_are_differences_of_the_model_linearised_agai
             for s, noise in [(1.0, state.levels.noise), (-1.0, state.levels.noise)]
         )
         differences.append((up - down) / 2e-5)
-    scores = np.column_stack([corrections(layout, [linear], [adj]).ravel(), quadratic([found]).slope])
+    scores = np.column_stack([determinant_of(layout, [linear], [adj]).slopes.ravel(), quadratic([found]).slope])
     close(scores[:, 0], np.array(differences)[:, 0], 1e-5)
     close(scores[:, 1], np.array(differences)[:, 1], 1e-5)
 

@@ -19,7 +19,7 @@ import numpy as np
 from bayeq.arrays import Floats, Ints
 from bayeq.likelihood.channels import Suspect, suspects_of
 from bayeq.likelihood.filter import run_filter
-from bayeq.likelihood.fit import State, Statistics, adjoints, corrections, maximised, of_inputs, solved
+from bayeq.likelihood.fit import State, Statistics, adjoints, bent_by, maximised, of_inputs, quadratic, solved
 from bayeq.likelihood.hinges import Kinks, kinks_of
 from bayeq.likelihood.levels import Levels
 from bayeq.likelihood.model import Fitted, Task
@@ -259,8 +259,8 @@ def gain_of(task: Task, state: State, c: int) -> float:
         other, bent = replace(state, levels=levels), None
         if task.layout.roles.inputs:
             found = task.marginal(other)
-            curved = corrections(task.layout, linears, adjoints(linears, levels, found, found.delta, curved=True))
-            bent = curved[state.chosen.chain, state.chosen.term]
+            curved = adjoints(linears, levels, found, found.delta, curved=True)
+            bent = bent_by(task.layout, linears, other, quadratic(found.filtered), curved)[1]
         return task.marginal(other, False, bent).value - of_inputs(linears, levels)
 
     without = replace(state, levels=state.levels.with_discrepancy(c, 0.0))

@@ -32,7 +32,7 @@ class Adjoint(NamedTuple):
     deviation: Floats  # (n, S), smoothed path less that of the linearisation
     covariance: Floats  # (n, S, S), of the smoothed path, given the coefficients; empty where not asked for
     # (n, C, S) and (n - 1, C, S), directions at samples and between: the candidates' derivatives along them sum to the
-    # derivative of the likelihood's log determinant by each coefficient (`corrections`); empty where not asked for
+    # derivative of the likelihood's log determinant by each coefficient on a fixed path; empty where not asked for
     at_samples: Floats
     between: Floats
 

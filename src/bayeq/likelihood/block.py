@@ -15,7 +15,7 @@ import numpy as np
 from bayeq.arrays import Floats, Ints
 from bayeq.likelihood.adjoint import Adjoint
 from bayeq.likelihood.filter import run_filter
-from bayeq.likelihood.fit import Quadratic, State, Statistics, adjoints, coefficients, corrections, information
+from bayeq.likelihood.fit import Quadratic, State, Statistics, adjoints, bent_by, coefficients, information, quadratic
 from bayeq.likelihood.layout import NOTHING
 from bayeq.likelihood.linear import Linear
 from bayeq.likelihood.low_pass import SEGMENT, of_segments, periodograms
@@ -139,9 +139,11 @@ def statistics(
     task: Task, state: State, linears: Sequence[Linear], found: Sequence[Adjoint]
 ) -> tuple[Quadratic, Floats]:
     """The log likelihood of all candidates, expanded about zero, and its derivatives by `Levels.free`."""
-    curved = corrections(task.layout, linears, found)
+    noise, chosen = state.levels.noise, state.chosen
+    alone = quadratic([run_filter(linear, chosen, noise, keep=False) for linear in linears])
+    bend, _ = bent_by(task.layout, linears, state, alone, found)
     score = np.sum([state.levels.slopes(one) for one in found], axis=0)
-    return information(task.layout, linears, state, curved), score
+    return information(task.layout, linears, state, bend), score
 
 
 @dataclass(frozen=True, eq=False)

@@ -77,6 +77,7 @@ class _Running(NamedTuple):
     lines: Floats  # (1, W), a sample's prediction error, its derivatives, and its covariances with the states
     scaled: Floats  # (rows M, 1 + r), innovations over their standard deviation
     variance: Floats  # (rows M,), of the innovations
+    pulled: Floats  # (1 + r,), of `Linear.pull`: the part of the log likelihood, and its derivatives by coefficients
 
     @classmethod
     def at_start(cls, linear: Linear, chosen: Candidates, noise: Noise) -> _Running:
@@ -87,7 +88,7 @@ class _Running(NamedTuple):
         work[0, :, 1 + r : 1 + r + size] = np.diag(noise.start)
         step, turned, lines = np.empty((size, size)), aligned(2, size, padded(size)), aligned(1, work.shape[2])
         rows = rows_together(channels, r) * channels
-        return cls(work, step, turned, lines, np.empty((rows, 1 + r)), np.empty(rows))
+        return cls(work, step, turned, lines, np.empty((rows, 1 + r)), np.empty(rows), np.zeros(1 + r))
 
 
 def padded(width: int) -> int:
@@ -239,6 +240,19 @@ def _keep_state(k: int, work: Floats, now: int, mean: Floats, covariance: Floats
             covariance[k, i, j] = work[now, i, start + j]
 
 
+@kernel(borrowing=True)
+def _add_pull(pull: Floats, k: int, work: Floats, now: int, start: int, pulled: Floats) -> None:
+    """Moves the means to where the log density plus a linear function of the states, ``pull[k]``, is largest."""
+    for i in range(work.shape[1]):
+        factor = pull[k, i]
+        if factor != 0.0:
+            pulled[0] += factor * (work[now, i, 0] + 0.5 * factor * work[now, i, start + i])
+            for j in range(1, start):
+                pulled[j] += factor * work[now, i, j]
+            for o in range(work.shape[1]):
+                work[now, o, 0] += factor * work[now, o, start + i]
+
+
 @kernel
 def _forward(
     linear: Linear,
@@ -256,7 +270,7 @@ def _forward(
     added, memory, steps = noise.channels, noise.memory, noise.steps
     spread, unresolved, terms = linear.spread, linear.unresolved, linear.terms
     force, discrepancy, coupling = linear.force, linear.discrepancy, linear.coupling
-    work, step, turned, lines, scaled, variances = at
+    work, step, turned, lines, scaled, variances, pulled = at
     innovation, variance, gain, mean, covariance = out[:5]
     size, start, used = path.shape[1], 1 + len(chosen.chain), 0
     chain, term = chosen
@@ -303,6 +317,8 @@ def _forward(
                 _keep_sample(k, channel, lines, S, innovation, variance, gain)
             if S > 0.0:
                 _condition(work, now, lines, S, start)
+        if len(linear.pull) > 0:
+            _add_pull(linear.pull, k, work, now, start, pulled)
         if keep:
             _keep_state(k, work, now, mean, covariance)
     return used
@@ -335,4 +351,7 @@ def run_filter(linear: Linear, chosen: Candidates, noise: Noise, keep: bool = Tr
     # innovations are samples less their prediction
     out.product[0, 1:] *= -1.0
     out.product[1:, 0] *= -1.0
+    out.product[0, 1:] += at.pulled[1:]
+    out.product[1:, 0] += at.pulled[1:]
+    out.product[0, 0] -= 2.0 * at.pulled[0]
     return out._replace(log_variance=logs)

@@ -10,10 +10,11 @@ import numpy as np
 from bayeq.arrays import Bools, Floats
 from bayeq.likelihood.adjoint import Adjoint, adjoint
 from bayeq.likelihood.blur import Blur, blur_of, first_blur
+from bayeq.likelihood.determinant import Determinant, determinant_of
 from bayeq.likelihood.filter import Filtered, run_filter
 from bayeq.likelihood.layout import NOTHING, Candidates, Layout, Series, Stated
 from bayeq.likelihood.levels import Levels
-from bayeq.likelihood.linear import Linear, derivatives_along, linearise, terms_along
+from bayeq.likelihood.linear import Linear, linearise, terms_along
 from bayeq.numerics.minimise import minimise
 from bayeq.numerics.settings import LIKELIHOOD
 
@@ -287,32 +288,46 @@ def maximised(
     return levels, last[1] if last is not None and at_least else marginal(linears, state, levels, precision)
 
 
-def corrections(layout: Layout, linears: Sequence[Linear], found: Sequence[Adjoint]) -> Floats:
-    """Derivatives of the log determinant's part of the log likelihood by every coefficient, (C, P + 1)."""
-    out = np.zeros((layout.chains, len(layout.terms) + 1))
-    for linear, adj in zip(linears, found, strict=True):
-        out += derivatives_along(linear, adj.at_samples, adj.between)
-    return out
+def bent_by(
+    layout: Layout, linears: Sequence[Linear], state: State, alone: Quadratic, found: Sequence[Adjoint]
+) -> tuple[Determinant, Floats]:
+    """Derivatives of the log determinant; and those by the chosen coefficients (r,), the path following these.
+
+    `alone` is the likelihood of these coefficients without it. Where the correction of the coefficients, in their
+    standard deviations, would be larger than on a fixed path, as at the fold of a map, the expansion fails: the path
+    follows less, by the square of that ratio.
+    """
+    bend = determinant_of(layout, linears, found)
+    fixed = bend.slopes[state.chosen.chain, state.chosen.term]
+    if not any(map(len, bend.pulls)):
+        return bend, fixed
+    pulled = [run_filter(linear, state.chosen, state.levels.noise, keep=False) for linear in bend.beside(linears)]
+    follows = quadratic(pulled).slope - alone.slope
+    told = np.flatnonzero(np.diagonal(alone.information) > 0.0)
+    H = alone.information[np.ix_(told, told)]
+    before, after = (float(one[told] @ solved(H, one[told])) for one in (fixed, fixed + follows))
+    share = before / after if after > before else 1.0
+    return bend._replace(pulls=tuple(share * pull for pull in bend.pulls)), fixed + share * follows
 
 
 def improved(
     layout: Layout, series: Sequence[Series], linears: Sequence[Linear], state: State, found: Statistics
-) -> tuple[State, Floats]:
-    """One Gauss-Newton step of coefficients and paths; also `corrections`, the derivatives of the log determinant."""
+) -> tuple[State, Determinant, Floats]:
+    """One Gauss-Newton step of coefficients and paths; also the results of `bent_by`."""
     first = adjoints(linears, state.levels, found, found.delta, curved=True)
-    curved = corrections(layout, linears, first)
-    delta = found.delta + found.covariance @ curved[state.chosen.chain, state.chosen.term]
+    bend, bent = bent_by(layout, linears, state, quadratic(found.filtered), first)
+    delta = found.delta + found.covariance @ bent
     second = adjoints(linears, state.levels, found, delta, smoothed=bool(layout.jumps))
-    return replace(state, theta=state.theta + delta).moved(layout, series, linears, second), curved
+    return replace(state, theta=state.theta + delta).moved(layout, series, linears, second), bend, bent
 
 
-def information(layout: Layout, linears: Sequence[Linear], state: State, curved: Floats) -> Quadratic:
+def information(layout: Layout, linears: Sequence[Linear], state: State, bend: Determinant) -> Quadratic:
     """The log likelihood of all candidates, expanded about zero, on which models are compared."""
     every = layout.everything
-    filtered = [run_filter(linear, every, state.levels.noise, keep=False) for linear in linears]
+    filtered = [run_filter(linear, every, state.levels.noise, keep=False) for linear in bend.beside(linears)]
     theta = coefficients(layout, state)
     q = quadratic(filtered) + of_stated(layout.stated, every, theta)
-    return Quadratic(q.level, q.information @ theta + q.slope + curved.ravel(), q.information)
+    return Quadratic(q.level, q.information @ theta + q.slope + bend.slopes.ravel(), q.information)
 
 
 def coefficients(layout: Layout, state: State) -> Floats:

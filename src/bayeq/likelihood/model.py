@@ -16,6 +16,7 @@ from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.slab import exact_posterior
 from bayeq.inference.gram import Gram
 from bayeq.inference.prior import Prior
+from bayeq.likelihood.determinant import Determinant
 from bayeq.likelihood.fit import (
     Quadratic,
     State,
@@ -269,7 +270,7 @@ def fit(task: Task, state: State, coarse: bool = False, calm: int = 0) -> Fitted
                     raise
                 state = last.towards(state)
         last = state
-        state, curved = improved(layout, task.series, linears, replace(state, levels=levels), found)
+        state, bend, bent = improved(layout, task.series, linears, replace(state, levels=levels), found)
         step, unit = state.theta - last.theta, np.linalg.inv(np.linalg.cholesky(found.covariance))
         length, arrived = float(np.linalg.norm(unit @ step)), state
         if former is not None and not coarse:
@@ -282,15 +283,15 @@ def fit(task: Task, state: State, coarse: bool = False, calm: int = 0) -> Fitted
         if abs(found.value - before) < SETTLED and 0.5 * length**2 < FLAT and taken >= calm:
             break
         before = found.value
-    # without this the linearised model would gain by coefficients that the likelihood does not have, where noise of
+    # without it the linearised model would gain by coefficients that the likelihood does not have, where noise of
     # inputs weakens these; under much noise of states alone exact laws are found more often with it
-    bent = curved[state.chosen.chain, state.chosen.term] if layout.roles.inputs else None
-    found = task.marginal(state, False, bent)
+    counted = bent if layout.roles.inputs else None
+    found = task.marginal(state, False, counted)
     # if steps oscillate, the gain that the next one predicts is not realised; coarse fits have not converged anyway
     evidence = found.value if coarse else found.value - min(found.value - found.here, 0.5 * length**2)
     model = task.model(state.chosen)
-    expand = partial(expanded, task, state, curved)
-    return Fitted(model, state, evidence + task.prior(model), found.value, expand, bent=bent)
+    expand = partial(expanded, task, state, bend)
+    return Fitted(model, state, evidence + task.prior(model), found.value, expand, bent=counted)
 
 
 def over_all_sizes(task: Task, fitted: Fitted, beside: Fitted | None = None) -> Fitted:
@@ -337,9 +338,9 @@ def _over_sizes(task: Task, fitted: Fitted, former: Floats) -> tuple[Floats, Sta
     return means, other
 
 
-def expanded(task: Task, state: State, curved: Floats) -> Quadratic:
+def expanded(task: Task, state: State, bend: Determinant) -> Quadratic:
     """The likelihood of all candidates about a fit that has converged."""
-    return information(task.layout, task.linearised(state), state, curved)
+    return information(task.layout, task.linearised(state), state, bend)
 
 
 def with_model(task: Task, fitted: Fitted, model: Bools) -> State:

@@ -27,7 +27,17 @@ from bayeq.inference.collapsed.search import Move, best_models, neighbours, scor
 from bayeq.inference.gram import Gram
 from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.adjoint import Adjoint, root_of
-from bayeq.likelihood.fit import Quadratic, State, adjoints, candidates, coefficients, corrections, information, solved
+from bayeq.likelihood.fit import (
+    Quadratic,
+    State,
+    adjoints,
+    bent_by,
+    candidates,
+    coefficients,
+    information,
+    quadratic,
+    solved,
+)
 from bayeq.likelihood.layout import Candidates, Layout
 from bayeq.likelihood.model import Fitted, Task, calmed, fit, over_all_sizes, with_model
 from bayeq.likelihood.nodes import extended
@@ -187,14 +197,15 @@ class Soft:
         column = np.append(np.arange(P), width - 1)
         linears, found = own.linearised(state), own.marginal(state)
         smoothed = adjoints(linears, state.levels, found, found.delta, curved=True, smoothed=True)
-        curved = corrections(layout, linears, smoothed)
+        bend, _ = bent_by(layout, linears, state, quadratic(found.filtered), smoothed)
         whole = fitted.quadratic
         if width > P + 1:
-            whole = information(layout, linears, state, curved).raised(fitted.power)
+            whole = information(layout, linears, state, bend).raised(fitted.power)
         # the log determinant curves downwards, since growth of deviations only tells more of the motion's start: for
         # J = exp(-a t) over a time T -ln(mean J^2) is a T - (a T)^2/6, with the curvature slope^2/3 per state
-        bend, about = np.outer(curved, curved) / (3.0 * max(layout.motion, 1)), coefficients(layout, state)
-        whole = replace(whole, information=whole.information + bend, slope=whole.slope + bend @ about)
+        about = coefficients(layout, state)
+        curved = np.outer(bend.slopes, bend.slopes) / (3.0 * max(layout.motion, 1))
+        whole = replace(whole, information=whole.information + curved, slope=whole.slope + curved @ about)
         step = max(1, sum(map(len, state.paths)) // max(ROWS, ROWS_PER_TERM * width))
         columns = np.concatenate(candidates(layout, task.series, state, step))
         moved = moved_columns(own, state, smoothed, columns, step)

@@ -388,7 +388,7 @@ def stepped(task: Task, state: State, held: str = "") -> tuple[tuple[Task, State
     own, wide, tangents = with_tangents(task, state, held)
     linears = own.linearised(wide)
     levels, found = maximised(linears, wide, own.precision_of(wide), **COARSE)
-    wide, _ = improved(own.layout, task.series, linears, replace(wide, levels=levels), found)
+    wide = improved(own.layout, task.series, linears, replace(wide, levels=levels), found)[0]
     theta, covariance, first = as_one(tangents, wide.theta, found.covariance)
     constants, farthest, values, steps = constants_of(task.layout.terms), 0.0, {}, {}
     for name, k in first.items():
