@@ -81,7 +81,7 @@ class RecordFit:
             found = cls(task, best, *averaged(task, best, soft), best.evidence)
         included = found.about(found.posterior.support)
         lost = fitted.evidence - included.fitted.evidence
-        if included.own and fitted.power == 1.0 and lost < -CLEARLY:
+        if included.own and fitted.power * lost < -CLEARLY:
             return cls.of(included.task, included.fitted)  # probabilities must be those about the likelier model
         # with correlated innovations the fit of another model is not more reliable than the Gram, raised to a power
         if included.own and (
