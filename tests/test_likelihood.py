@@ -21,6 +21,7 @@ from bayeq.likelihood import search
 from bayeq.likelihood.blur import blur_of
 from bayeq.likelihood.layout import Layout, Series
 from bayeq.likelihood.model import fit, from_all_levels, over_all_sizes, with_model
+from bayeq.likelihood.record_fit import RecordFit
 from bayeq.likelihood.signs import half_of_jump, mean_of_jumps, unresolved_share
 from bayeq.likelihood.spike import among_neighbours
 from bayeq.numerics.settings import LIKELIHOOD
@@ -234,6 +235,27 @@ def test_probabilities_are_those_about_the_likeliest_model_that_is_met(monkeypat
     assert one.included == ("x", "v", "x**3", "u")
     found = one.fit.regression.record
     assert found.likeliest == pytest.approx(found.fitted.evidence, abs=1e-9)
+
+
+def test_a_wrong_model_with_correlated_innovations_gives_way_to_the_likelier_one(monkeypatch):
+    """Its Gram, raised to a power, finds other terms; with these the innovations are independent."""
+    record, powers = from_all_rows()[0].fit.regression.record, []
+    task, right = record.task, record.fitted
+    names = [*(term.text for term in task.layout.terms), "1"]
+    wrong = right.model.copy()
+    wrong[names.index("x**3")] = False
+    fitted = from_all_levels(task, with_model(task, right, wrong))
+    assert fitted.evidence < right.evidence - 100.0
+
+    def power(task, fitted):
+        powers.append(1.0 if powers else 0.5)
+        return powers[-1]
+
+    monkeypatch.setattr("bayeq.likelihood.record_fit.power_of", power)
+    found = RecordFit.of(task, fitted)
+    assert powers == [0.5, 1.0]
+    assert found.fitted.power == 1.0
+    assert np.array_equal(found.fitted.model, right.model)
 
 
 def test_steps_between_samples_are_as_fine_as_noise_lets_errors_be_seen():
