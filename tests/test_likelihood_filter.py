@@ -453,7 +453,7 @@ def test_the_slope_of_the_log_determinant_counts_that_the_path_moves(seed):
         )
         differences.append((up - down) / 2e-4)
     state, linear, found, adj = settled(layout, series, state, 1)
-    bend, bent = bent_by(layout, [linear], state, quadratic([found]), [adj])
+    bend, bent = bent_by(layout, [linear], state, [adj], [found])
     close(bent, np.array(differences), 5e-3)
     on_a_fixed_path = bend.slopes[state.chosen.chain, state.chosen.term]
     assert np.abs(on_a_fixed_path - differences).max() > 0.3 * np.abs(differences).max()
@@ -464,7 +464,7 @@ def test_a_linear_law_pulls_at_no_path():
     linear_terms = np.flatnonzero([layout.terms[j].text.isidentifier() for j in state.chosen.term])
     state = replace(state, chosen=state.chosen.take(linear_terms), theta=state.theta[linear_terms])
     state, linear, found, adj = settled(layout, series, state, 1)
-    bend, bent = bent_by(layout, [linear], state, quadratic([found]), [adj])
+    bend, bent = bent_by(layout, [linear], state, [adj], [found])
     assert [len(pull) for pull in bend.pulls] == [0]
     assert np.array_equal(bent, bend.slopes[state.chosen.chain, state.chosen.term])
 
@@ -480,7 +480,7 @@ def test_scores_at_the_truth_are_those_of_draws_from_the_model_itself(number):
         one = series._replace(samples=samples)
         here, linear, found, adj = settled(layout, one, replace(state, paths=(path,)), 4)
         q = quadratic([found])
-        scores.append(q.slope + bent_by(layout, [linear], here, q, [adj])[1])
+        scores.append(q.slope + bent_by(layout, [linear], here, [adj])[1])
         without.append(q.slope)
         informations.append(q.information)
     assert centred(np.array(scores))

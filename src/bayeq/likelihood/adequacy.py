@@ -19,7 +19,7 @@ import numpy as np
 from bayeq.arrays import Floats, Ints
 from bayeq.likelihood.channels import Suspect, suspects_of
 from bayeq.likelihood.filter import run_filter
-from bayeq.likelihood.fit import State, Statistics, adjoints, bent_by, maximised, of_inputs, quadratic, solved
+from bayeq.likelihood.fit import State, Statistics, adjoints, bent_by, maximised, of_inputs, solved
 from bayeq.likelihood.hinges import Kinks, kinks_of
 from bayeq.likelihood.levels import Levels
 from bayeq.likelihood.model import Fitted, Task
@@ -260,7 +260,7 @@ def gain_of(task: Task, state: State, c: int) -> float:
         if task.layout.roles.inputs:
             found = task.marginal(other)
             curved = adjoints(linears, levels, found, found.delta, curved=True)
-            bent = bent_by(task.layout, linears, other, quadratic(found.filtered), curved)[1]
+            bent = bent_by(task.layout, linears, other, curved, found.filtered)[1]
         return task.marginal(other, False, bent).value - of_inputs(linears, levels)
 
     without = replace(state, levels=state.levels.with_discrepancy(c, 0.0))

@@ -15,7 +15,7 @@ import numpy as np
 from bayeq.arrays import Floats, Ints
 from bayeq.likelihood.adjoint import Adjoint
 from bayeq.likelihood.filter import run_filter
-from bayeq.likelihood.fit import Quadratic, State, Statistics, adjoints, bent_by, coefficients, information, quadratic
+from bayeq.likelihood.fit import Quadratic, State, Statistics, adjoints, bent_by, coefficients, information
 from bayeq.likelihood.layout import NOTHING
 from bayeq.likelihood.linear import Linear
 from bayeq.likelihood.low_pass import SEGMENT, of_segments, periodograms
@@ -139,9 +139,7 @@ def statistics(
     task: Task, state: State, linears: Sequence[Linear], found: Sequence[Adjoint]
 ) -> tuple[Quadratic, Floats]:
     """The log likelihood of all candidates, expanded about zero, and its derivatives by `Levels.free`."""
-    noise, chosen = state.levels.noise, state.chosen
-    alone = quadratic([run_filter(linear, chosen, noise, keep=False) for linear in linears])
-    bend, _ = bent_by(task.layout, linears, state, alone, found)
+    bend, _ = bent_by(task.layout, linears, state, found)
     score = np.sum([state.levels.slopes(one) for one in found], axis=0)
     return information(task.layout, linears, state, bend), score
 

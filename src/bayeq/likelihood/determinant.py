@@ -68,7 +68,7 @@ def _pull(linear: Linear, adj: Adjoint) -> Floats:
 
 
 def _gradient(linear: Linear, path: Floats, c: int) -> Floats:
-    """Derivatives of target c by the states on another path, (n, S)."""
+    """Derivatives of target c by the states on another path, (n, S): rates as of a map, which is not integrated."""
     (n, size), chains = path.shape, len(linear.discrepancy)
     rates = linear.steps._replace(discrete=True, substeps=np.ones(n, dtype=np.int64))
     target, gradient, sources = np.empty((n, chains)), np.empty((n, chains, size)), np.empty((n, rates.motion, 0))

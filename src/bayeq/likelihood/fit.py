@@ -289,20 +289,28 @@ def maximised(
 
 
 def bent_by(
-    layout: Layout, linears: Sequence[Linear], state: State, alone: Quadratic, found: Sequence[Adjoint]
+    layout: Layout,
+    linears: Sequence[Linear],
+    state: State,
+    found: Sequence[Adjoint],
+    filtered: Sequence[Filtered] | None = None,
 ) -> tuple[Determinant, Floats]:
     """Derivatives of the log determinant; and those by the chosen coefficients (r,), the path following these.
 
-    `alone` is the likelihood of these coefficients without it. Where the correction of the coefficients, in their
-    standard deviations, would be larger than on a fixed path, as at the fold of a map, the expansion fails: the path
-    follows less, by the square of that ratio.
+    `filtered` are the records with the columns of these coefficients, if they are there. Where the correction of the
+    coefficients, in their standard deviations, would be larger than on a fixed path, as at the fold of a map, the
+    expansion fails: the path follows less, by the square of that ratio.
     """
     bend = determinant_of(layout, linears, found)
     fixed = bend.slopes[state.chosen.chain, state.chosen.term]
     if not any(map(len, bend.pulls)):
         return bend, fixed
-    pulled = [run_filter(linear, state.chosen, state.levels.noise, keep=False) for linear in bend.beside(linears)]
-    follows = quadratic(pulled).slope - alone.slope
+
+    def likelihood(models: Sequence[Linear]) -> Quadratic:
+        return quadratic([run_filter(one, state.chosen, state.levels.noise, keep=False) for one in models])
+
+    alone = likelihood(linears) if filtered is None else quadratic(filtered)
+    follows = likelihood(bend.beside(linears)).slope - alone.slope
     told = np.flatnonzero(np.diagonal(alone.information) > 0.0)
     H = alone.information[np.ix_(told, told)]
     before, after = (float(one[told] @ solved(H, one[told])) for one in (fixed, fixed + follows))
@@ -315,7 +323,7 @@ def improved(
 ) -> tuple[State, Determinant, Floats]:
     """One Gauss-Newton step of coefficients and paths; also the results of `bent_by`."""
     first = adjoints(linears, state.levels, found, found.delta, curved=True)
-    bend, bent = bent_by(layout, linears, state, quadratic(found.filtered), first)
+    bend, bent = bent_by(layout, linears, state, first, found.filtered)
     delta = found.delta + found.covariance @ bent
     second = adjoints(linears, state.levels, found, delta, smoothed=bool(layout.jumps))
     return replace(state, theta=state.theta + delta).moved(layout, series, linears, second), bend, bent

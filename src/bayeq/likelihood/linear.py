@@ -52,9 +52,8 @@ class Linear(NamedTuple):
     # intervals in which the arguments of jumps are held, (k,), and the projections of changes of the states there,
     # (k, motion, motion)
     holds: tuple[tuple[NDArray[np.intp], Floats], ...]
-    # (n, S), derivatives of a further part of the log likelihood by the states (`bayeq.likelihood.determinant`); (0, S)
-    # for none
-    pull: Floats
+    # (n, S), derivatives of a further part of the log likelihood by the states (`determinant`); or empty
+    pull: Floats = np.empty((0, 0))
 
     def in_order(self, channels: NDArray[np.intp]) -> Linear:
         """The model with its channels in another order, in which their samples are filtered."""
@@ -146,7 +145,6 @@ def linearise(
         sources=sources,
         steps=steps,
         holds=holds,
-        pull=np.empty((0, size)),
     )
 
 

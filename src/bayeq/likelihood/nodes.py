@@ -30,7 +30,7 @@ from bayeq.dictionary.ranges import (
 from bayeq.expressions import Binary, Expression, Unknown, number
 from bayeq.inference.collapsed.search import best_models, scores_of
 from bayeq.inference.collapsed.slab import exact_posterior
-from bayeq.likelihood.fit import Quadratic, State, adjoints, bent_by, information, quadratic
+from bayeq.likelihood.fit import Quadratic, State, adjoints, bent_by, information
 from bayeq.likelihood.layout import Layout
 from bayeq.likelihood.model import Fitted, Task, calmed
 from bayeq.likelihood.start import precision_of_terms
@@ -181,7 +181,7 @@ def beside(
     own, state = extended(task, fitted.state, others)
     linears, found = own.linearised(state), own.marginal(state)
     smoothed = adjoints(linears, state.levels, found, found.delta, curved=True)
-    bend, _ = bent_by(own.layout, linears, state, quadratic(found.filtered), smoothed)
+    bend, _ = bent_by(own.layout, linears, state, smoothed, found.filtered)
     q = information(own.layout, linears, state, bend).raised(fitted.power)
     like = np.tile(each, len(others) // len(each))
     odds, precision = (values.reshape(layout.chains, -1) for values in (task.log_odds, task.precision))

@@ -35,7 +35,6 @@ from bayeq.likelihood.fit import (
     candidates,
     coefficients,
     information,
-    quadratic,
     solved,
 )
 from bayeq.likelihood.layout import Candidates, Layout
@@ -197,7 +196,7 @@ class Soft:
         column = np.append(np.arange(P), width - 1)
         linears, found = own.linearised(state), own.marginal(state)
         smoothed = adjoints(linears, state.levels, found, found.delta, curved=True, smoothed=True)
-        bend, _ = bent_by(layout, linears, state, quadratic(found.filtered), smoothed)
+        bend, _ = bent_by(layout, linears, state, smoothed, found.filtered)
         whole = fitted.quadratic
         if width > P + 1:
             whole = information(layout, linears, state, bend).raised(fitted.power)
