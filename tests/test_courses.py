@@ -134,13 +134,14 @@ def test_a_held_input_behind_a_lag_is_no_further_term():
     assert eq[0].coef["f"] == pytest.approx(1.0, rel=0.02)
 
 
-def test_coefficients_are_spread_over_courses_that_are_nearly_as_likely(monkeypatch):
+def test_coefficients_are_spread_over_courses_that_are_nearly_as_likely():
     tried = [
-        (
+        courses.Tried(
             SimpleNamespace(
                 layout=SimpleNamespace(courses=(course,)), precision=np.ones(3), number=lambda chosen: chosen
             ),
-            SimpleNamespace(state=SimpleNamespace(chosen=np.array([0, 2]), theta=np.array(theta)), log=log),
+            SimpleNamespace(state=SimpleNamespace(chosen=np.array([0, 2]), theta=np.array(theta))),
+            log,
         )
         for course, theta, log in (
             ("smooth", [1.0, 2.0], 10.0),
@@ -148,7 +149,6 @@ def test_coefficients_are_spread_over_courses_that_are_nearly_as_likely(monkeypa
             ("hold", [9.0, 9.0], -90.0),
         )
     ]
-    monkeypatch.setattr(courses, "of_likeliest", lambda task, fitted: fitted.log)
     found = courses.spread_over(tried, "smooth", 0)
     weight = np.exp(12.0 - courses.CLEARLY) / (np.exp(10.0) + np.exp(12.0 - courses.CLEARLY))
     np.testing.assert_allclose(found, weight * np.outer([0.1, 0.0, 0.0], [0.1, 0.0, 0.0]), atol=1e-12)

@@ -26,7 +26,7 @@ from bayeq.discovery.cautions import (
 from bayeq.discovery.laws import hidden_states, with_differences, without_hidden
 from bayeq.discovery.streaming.whole import Whole
 from bayeq.equation.answer import DataSummary, EquationTuple, HiddenState
-from bayeq.equation.build import build_equations, with_doubts
+from bayeq.equation.build import build_equations, warn_of, with_doubts
 from bayeq.equation.equation import Equation
 from bayeq.equation.equations import Equations
 from bayeq.equation.selection.select import Rules, Selection, select
@@ -160,17 +160,15 @@ class Question:
         if any(one.log_odds_without > -CLEARLY for one in hidden):
             return self._without_hidden(hidden, records)
         design = self._at_values(design, record)
-        first = WarningLog()
         judged = self._judged(design, record)
-        equations, scores, selections = self._found(judged, record, constrained, units, first)
-        found = self._of_all_rows(design, record, log)
+        equations, scores, selections = self._found(judged, record, constrained, units)
+        found, scored = self._of_all_rows(design, record, log), equations
         if found is not None:
-            scored, first = equations, WarningLog()
-            equations, _, selections = self._found(*found, constrained, units, first, scored)
-            warn_of_other_terms(equations, scored, first)
+            equations, _, selections = self._found(*found, constrained, units, scored)
+        warn_of(equations, selections, log)
+        warn_of_other_terms(equations, scored, log)
         for equation in equations:
-            first.extend([f"{equation.target}: {message}" for message in equation.at_ends], DataWarning)
-        log.collected += first.collected
+            log.extend([f"{equation.target}: {message}" for message in equation.at_ends], DataWarning)
         step("inference", len(equations), len(equations))
         likelihood = record if found is None else found[1]
         if likelihood is not None:
@@ -445,7 +443,6 @@ class Question:
         record: RecordFit | None,
         constrained: Sequence[Constraints],
         units: Mapping[str, str],
-        log: WarningLog,
         scored: Sequence[Equation] = (),
     ) -> tuple[tuple[Equation, ...], Scores | None, list[Selection]]:
         """Equations by the likelihood or from rows as measured; with the scores of the `scored` ones, if given."""
@@ -455,7 +452,7 @@ class Question:
             regressions, constrained, self.method, self.prior, self.coarsen, self.rules.tolerance, self.seed
         )
         selections = select(fits, self.rules, design.motion, whole=bool(self.conserved))
-        equations, scores = build_equations(selections, units, log, scored)
+        equations, scores = build_equations(selections, units, scored)
         return equations, scores, selections
 
 

@@ -78,7 +78,7 @@ TELL_APART = "other amplitudes would tell"
 
 
 def build_equations(
-    selections: Sequence[Selection], units: Mapping[str, str], log: WarningLog, scored: Sequence[Equation] = ()
+    selections: Sequence[Selection], units: Mapping[str, str], scored: Sequence[Equation] = ()
 ) -> tuple[tuple[Equation, ...], Scores | None]:
     """The equations of a system and their scores on the rows held out; `scored` equations give fits and verdicts."""
     design = selections[0].fit.regression.design
@@ -104,10 +104,15 @@ def build_equations(
         if not (equation.shown or equation.intercept_matters) and equation.verdict.kind != "none":
             without = Verdict("none", "no equation found: no candidate term is in the equation")
             equation = replace(equation, verdict=without)
-        for said, category in warnings_of(equation, selection):
-            log.warn(f"{equation.target}: {said}", category)
         equations.append(equation)
     return tuple(equations), held_out_scores(dynamics, motion)
+
+
+def warn_of(equations: Sequence[Equation], selections: Sequence[Selection], log: WarningLog) -> None:
+    """Log what a user must know of each equation."""
+    for equation, selection in zip(equations, selections, strict=True):
+        for said, category in warnings_of(equation, selection):
+            log.warn(f"{equation.target}: {said}", category)
 
 
 def build_equation(selection: Selection, window: Window | None) -> Equation:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,6 +19,20 @@ from bayeq.numerics.settings import LIKELIHOOD
 from bayeq.states import Motion
 
 
+class Tried(NamedTuple):
+    """A fit with some course of an input."""
+
+    task: Task
+    fitted: Fitted
+    # `of_motion` at the likeliest sizes of discrepancies, not averaged over sizes: comparable with coarse fits
+    log: float
+
+    @classmethod
+    def of(cls, task: Task, fitted: Fitted) -> Tried:
+        averages = 0.0 if fitted.averages is None else float(fitted.averages.sum())
+        return cls(task, fitted, of_motion(task, fitted) - averages)
+
+
 def with_other_inputs(motion: Motion, task: Task, best: Fitted) -> tuple[Task, Fitted]:
     """The fit, or one with other courses of inputs between samples if the motion is then clearly likelier.
 
@@ -27,25 +42,26 @@ def with_other_inputs(motion: Motion, task: Task, best: Fitted) -> tuple[Task, F
     """
     lagging = task.layout.late or bool(task.layout.roles.hidden)
     for k in range(len(task.layout.roles.inputs)):
-        tried = [(task, best if best.averages is not None else fit(task, best.state, coarse=True))]
+        first = Tried.of(task, best if best.averages is not None else fit(task, best.state, coarse=True))
+        others = list[Tried]()
         for group in with_courses(motion, task, best, k):
             for there, state in group if lagging else [max(group, key=lambda pair: at_once(*pair))]:
                 try:
-                    tried.append((there, fit(there, noisier(there, calmed(state), k), coarse=True)))
+                    others.append(Tried.of(there, fit(there, noisier(there, calmed(state), k), coarse=True)))
                 except np.linalg.LinAlgError:
                     continue
-        spread = [tried[0], *sorted(tried[1:], key=lambda pair: -of_likeliest(*pair))]
-        likeliest = max(tried, key=lambda pair: of_likeliest(*pair))
+        others.sort(key=lambda one: -one.log)
+        spread = [first, *others]
+        likeliest = max(spread, key=lambda one: one.log)
         if lagging:
-            least = of_likeliest(*likeliest) - LIKELIHOOD.neighbour_window
-            near = [pair for pair in tried[1:] if of_likeliest(*pair) > least]
-            tried = [with_suitable(motion, *pair) for pair in (tried[0], *near)]
-            likeliest = max(tried, key=lambda pair: of_likeliest(*pair))
-        if of_likeliest(*likeliest) - of_likeliest(*tried[0]) > CLEARLY:
-            there, state = likeliest[0], likeliest[1].state
+            near = [one for one in others if one.log > likeliest.log - LIKELIHOOD.neighbour_window]
+            first, *near = [with_suitable(motion, one) for one in (first, *near)]
+            likeliest = max([first, *near], key=lambda one: one.log)
+        if likeliest.log - first.log > CLEARLY:
+            there, found = likeliest.task, likeliest.fitted
             try:
                 # `with_suitable` has already searched its terms
-                pairs = [(task, best), likeliest if lagging else on_the_way(there, state)]
+                pairs = [(task, best), (there, found) if lagging else on_the_way(there, found.state)]
                 most = max(one.state.levels.kappa.max() for _, one in pairs)
                 if best.averages is not None or most >= LIKELIHOOD.adequate:
                     # where a discrepancy is left coarse fits may be far from the likeliest levels
@@ -57,31 +73,26 @@ def with_other_inputs(motion: Motion, task: Task, best: Fitted) -> tuple[Task, F
     return task, best
 
 
-def spread_over(tried: Sequence[tuple[Task, Fitted]], taken: Course, k: int) -> Floats:
+def spread_over(tried: Sequence[Tried], taken: Course, k: int) -> Floats:
     """Second moments, (C (P + 1),) squared, of coefficients over courses of input k, about those of course `taken`."""
     kinds: dict[Course, tuple[float, Floats]] = {}
-    for i, (task, fitted) in enumerate(tried):
+    for i, (task, fitted, log) in enumerate(tried):
         theta = np.zeros(len(task.precision))
         theta[task.number(fitted.state.chosen)] = fitted.state.theta
-        kinds.setdefault(task.layout.courses[k], (of_likeliest(task, fitted) - CLEARLY * (i > 0), theta))
+        kinds.setdefault(task.layout.courses[k], (log - CLEARLY * (i > 0), theta))
     logs = np.array([log for log, _ in kinds.values()])
     weights = np.exp(logs - logs.max())
     apart = np.stack([theta for _, theta in kinds.values()]) - kinds[taken][1]
     return np.asarray((apart.T * weights / weights.sum()) @ apart)
 
 
-def with_suitable(motion: Motion, task: Task, fitted: Fitted) -> tuple[Task, Fitted]:
+def with_suitable(motion: Motion, tried: Tried) -> Tried:
     """The fit after a search for the constants and terms of its course; itself if these cannot be evaluated."""
     try:
-        there, found = settled(motion, task, fitted)
-        return on_the_way(there, found.state)
+        there, found = settled(motion, tried.task, tried.fitted)
+        return Tried.of(*on_the_way(there, found.state))
     except np.linalg.LinAlgError:
-        return task, fitted
-
-
-def of_likeliest(task: Task, fitted: Fitted) -> float:
-    """`of_motion` at the likeliest sizes of discrepancies, not averaged over sizes: comparable with coarse fits."""
-    return of_motion(task, fitted) - (0.0 if fitted.averages is None else float(fitted.averages.sum()))
+        return tried
 
 
 def at_once(task: Task, state: State) -> float:

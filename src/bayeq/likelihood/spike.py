@@ -22,7 +22,7 @@ from bayeq.dictionary.families import count, monomials
 from bayeq.dictionary.ranges import constants_of, extent
 from bayeq.expressions import Expression, parse
 from bayeq.inference.bma import spike_slab_bma
-from bayeq.inference.collapsed.listing import ModelSet, list_models
+from bayeq.inference.collapsed.listing import ModelSet, distinct, list_models
 from bayeq.inference.collapsed.search import Move, best_models, neighbours, scores_of
 from bayeq.inference.gram import Gram
 from bayeq.inference.posterior import Posterior
@@ -76,21 +76,21 @@ class Nearly:
         return cls((0.0,) * chains, (np.nan,) * chains)
 
 
-def softened(q: Quadratic, root: Floats, spread: Floats) -> Quadratic:
+def softened(level: float, root: Floats, c: Floats, spread: Floats) -> Quadratic:
     """The likelihood about p coefficients with deviations N(0, S S') integrated out, S = `spread`, (p, K).
 
-    With `root` F, (p, r), of the information A = F F' and F'S = U diag(s) V', the result has the information
-    F (I - U U') F' + F U diag(1/(1 + s^2)) U' F'. The equal A - A S (I + S'A S)^-1 S'A is rounding if noise is low.
+    It is given as its level, the information A = F F' with `root` F, (p, r), and the slope F c. With F'S = U diag(s) V'
+    the result has the information F (I - U U') F' + F U diag(1/(1 + s^2)) U' F'. The equal A - A S (I + S'A S)^-1 S'A is
+    rounding if noise is low.
     """
     U, s, _ = np.linalg.svd(root.T @ spread, full_matrices=False)
     left, inside = 1.0 / (1.0 + s**2), root @ U
     across, within = root - inside @ U.T, inside * np.sqrt(left)
-    c = np.linalg.lstsq(root, q.slope, rcond=None)[0]
     along = U.T @ c
     outside = c - U @ along
     outside -= U @ (U.T @ outside)  # removes rounding errors that the first difference leaves
     slope = root @ outside + inside @ (left * along)
-    level = q.level + 0.5 * float(np.sum(s**2 * left * along**2)) + 0.5 * float(np.log(left).sum())
+    level += 0.5 * float(np.sum(s**2 * left * along**2)) + 0.5 * float(np.log(left).sum())
     return Quadratic(level, slope, across @ across.T + within @ within.T)
 
 
@@ -116,7 +116,8 @@ def softened_rows(gram: Gram, size: float) -> Gram:
     squares, axes = np.linalg.eigh(gram.DtD / gram.n)
     kept = squares > CUT * squares[-1]
     R = axes[:, kept] * np.sqrt(gram.yty / gram.n / squares[kept] / kept.sum())
-    q = softened(Quadratic(0.0, gram.Dty, gram.DtD), root_of(gram.DtD), size * R)
+    root = root_of(gram.DtD)
+    q = softened(0.0, root, np.linalg.lstsq(root, gram.Dty, rcond=None)[0], size * R)
     left = gram.yty - float(gram.Dty @ solved(gram.DtD, gram.Dty))
     yty = left + float(q.slope @ solved(q.information, q.slope))
     return replace(gram, DtD=q.information, Dty=q.slope, yty=yty)
@@ -234,13 +235,19 @@ class Soft:
         """Square root F of the information matrix A = F F' on all candidates, hidden functions and constants."""
         return root_of(self.whole.information)
 
+    @cached_property
+    def at_fit(self) -> tuple[Quadratic, Floats]:
+        """The likelihood about the fit, and c of its slope F c."""
+        slope = self.whole.slope - self.whole.information @ self.about
+        return replace(self.whole, slope=slope), np.linalg.lstsq(self.root, slope, rcond=None)[0]
+
     def quadratic(self, tau: Sizes, constants: Sequence[Freed] | None = None) -> tuple[Quadratic, float]:
         """The likelihood of all candidates about zero, functions and constants integrated out; ln of its maximum."""
-        q = replace(self.whole, slope=self.whole.slope - self.whole.information @ self.about)
+        q, c = self.at_fit
         spreads = [size * spread for size, spread in zip(tau, self.spreads, strict=True) if size > 0.0]
         spreads += spreads_of(self.constants if constants is None else constants, len(self.about), len(tau))
         if spreads:
-            q = softened(q, self.root, np.hstack(spreads))
+            q = softened(q.level, self.root, c, np.hstack(spreads))
         A, b = q.information[np.ix_(self.visible, self.visible)], q.slope[self.visible]
         return Quadratic(q.level, b + A @ self.about[self.visible], A), q.level + 0.5 * float(b @ solved(A, b))
 
@@ -418,9 +425,7 @@ def _mixed(found: ModelSet, search: Soft, lines: dict[Sizes, float]) -> ModelSet
     sets = [search.models(tau) for tau in lines]
     models = np.concatenate([one.models for one in sets])
     values = np.concatenate([one.log_posterior + prior for one, prior in zip(sets, lines.values(), strict=True)])
-    packed = np.packbits(models, axis=1)
-    keys = packed.view(np.dtype((np.void, packed.shape[1]))).ravel()  # faster than by `axis`
-    _, first, same = np.unique(keys, return_index=True, return_inverse=True)
+    first, same = distinct(models)
     largest = np.full(len(first), -np.inf)
     np.maximum.at(largest, same, values)
     together = largest + np.log(np.bincount(same, np.exp(values - largest[same])))

@@ -13,6 +13,7 @@ import numpy as np
 
 from bayeq.arrays import Bools, Floats, Ints
 from bayeq.expressions.evaluate import Program, RowTangents, dependence, run_on_rows, run_tape
+from bayeq.inference.collapsed.listing import summed
 from bayeq.inference.posterior import Averaged, ModelAverage, Posterior
 from bayeq.kernels import kernel
 from bayeq.likelihood.layout import HELD, SMOOTH, STRAIGHT, Candidates, Stated
@@ -418,10 +419,7 @@ class Flows:
         assert average is not None
         assert found.averaged is not None
         units = self.matrix * np.sqrt(precision)[:, None] / np.sqrt(self.precision(precision))
-        models, which = np.unique(average.models @ self.matrix.T.astype(np.bool_), axis=0, return_inverse=True)
-        probability: Floats = np.bincount(which.ravel(), weights=average.probability).astype(np.float64)
-        order = np.argsort(-probability, kind="stable")
-        models, probability = models[order], probability[order]
+        models, probability = summed(average.models @ self.matrix.T.astype(np.bool_), average.probability)
         pip = np.minimum(probability @ models, 1.0)
         support = pip > 0.5
         if not (self.wide(self.narrow(support)) == support).all():

@@ -14,6 +14,7 @@ from bayeq.dictionary import Specification, of_equations
 from bayeq.dictionary.families import degree
 from bayeq.errors import InputError
 from bayeq.inference.auto import VB_STARTS
+from bayeq.inference.collapsed.listing import summed
 from bayeq.inference.collapsed.problem import Problem
 from bayeq.inference.collapsed.search import best_models
 from bayeq.inference.collapsed.slab import (
@@ -422,13 +423,11 @@ def _equation(regression: Regression, record: RecordFit, constraints: Constraint
 
 def _marginal(joint: ModelAverage, terms: np.ndarray[tuple[int], np.dtype[np.intp]]) -> ModelAverage:
     """The models of one equation, with probabilities summed over the models of the others."""
-    models, which = np.unique(joint.models[:, terms], axis=0, return_inverse=True)
-    probability: Floats = np.bincount(which.ravel(), weights=joint.probability).astype(np.float64)
-    order = np.argsort(-probability, kind="stable")
+    models, probability = summed(joint.models[:, terms], joint.probability)
     inside = np.flatnonzero(np.isin(joint.terms, terms))
     return ModelAverage(
-        models=models[order],
-        probability=probability[order],
+        models=models,
+        probability=probability,
         left_out=joint.left_out,
         terms=np.asarray(joint.terms[inside] - terms[0], dtype=np.intp),
         covariance=joint.covariance[np.ix_(inside, inside)],

@@ -84,6 +84,25 @@ class ModelSet:
         return w / w.sum()
 
 
+def distinct(models: Bools) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """First places of the different models among M, (M, P), sorted as numbers of their bits; the number of each, (M,).
+
+    Like `numpy.unique` by `axis`, which takes ten times as long.
+    """
+    packed = np.packbits(models, axis=1)
+    keys = np.ascontiguousarray(packed).view(np.dtype((np.void, packed.shape[1]))).ravel()
+    _, first, same = np.unique(keys, return_index=True, return_inverse=True)
+    return first, same.ravel()
+
+
+def summed(models: Bools, probability: Floats) -> tuple[Bools, Floats]:
+    """The different models among M, (M, P), the most probable first, and their probabilities summed over equals."""
+    first, same = distinct(models)
+    total: Floats = np.bincount(same, weights=probability).astype(np.float64)
+    order = np.argsort(-total, kind="stable")
+    return models[first[order]], total[order]
+
+
 @kernel
 def shares(models: Bools, weights: Floats) -> Floats:
     """Sum of the weights of the models that hold each term, (P,): ``weights @ models`` without converting `models`."""
