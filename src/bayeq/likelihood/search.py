@@ -112,8 +112,6 @@ def rounds(task: Task, state: State, coarse: bool) -> tuple[Task, Fitted]:
             task = finer(task, state) if coarse else task
             now = fit(task, state, coarse)
         except np.linalg.LinAlgError:  # the model does not stay near the motion
-            if not coarse:
-                raise
             break
         best = max(best, now, key=lambda one: one.evidence)
     return task, best
