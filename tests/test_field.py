@@ -78,6 +78,13 @@ def test_intervals_hold_where_a_law_without_random_force_determines_the_path():
     assert (told["covered"], told["intervals"]) == (9, 9)
 
 
+def test_a_search_that_follows_noise_on_the_way_finds_the_law():
+    """A wrong law with discrepancies that follow every sample was found, a thousand times the true law's error."""
+    found = dysts.measure(("LorenzStenflo", 10.0, "bayeq"), 880000)
+    assert found["exact"]
+    assert found["E"] < 0.01
+
+
 @pytest.mark.parametrize("noise", ["multiplied 5", "added 5"])
 def test_noise_of_odebench(noise):
     clean, noisy = odebench._clean("37", 0), odebench.draw("37", 0, noise, 1.0, 1)

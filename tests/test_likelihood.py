@@ -19,6 +19,7 @@ from bayeq.expressions import Evaluator, Expression, number, parse
 from bayeq.expressions.nodes import jumps_of
 from bayeq.likelihood import search
 from bayeq.likelihood.blur import blur_of
+from bayeq.likelihood.fit import maximised
 from bayeq.likelihood.layout import Layout, Series
 from bayeq.likelihood.model import fit, from_all_levels, over_all_sizes, with_model
 from bayeq.likelihood.record_fit import RecordFit
@@ -256,6 +257,28 @@ def test_a_wrong_model_with_correlated_innovations_gives_way_to_the_likelier_one
     assert powers == [0.5, 1.0]
     assert found.fitted.power == 1.0
     assert np.array_equal(found.fitted.model, right.model)
+
+
+def test_noise_that_a_search_lost_is_found_again():
+    """Slopes by the logarithm of a variance vanish with it: discrepancies would go on following every sample."""
+    record, names = states_only("lorenz", 0.1, 1)
+    found = quietly(record, chains=names, dictionary="polynomial:2", holdout=0.0)[0].fit.regression.record
+    task, state = found.task, found.fitted.state
+    levels = state.levels
+    lost = replace(levels, channels=1e-9 * levels.channels, discrepancy=4.0 * levels.target, memory=np.full(3, 0.03))
+    again, _ = maximised(task.linearised(state), replace(state, levels=lost), task.precision_of(state))
+    np.testing.assert_allclose(again.channels, levels.channels, rtol=0.05)
+
+
+def test_a_round_that_cannot_be_fitted_leaves_the_best_fit(monkeypatch):
+    record = from_all_rows()[0].fit.regression.record
+
+    def nowhere(task, fitted):
+        raise np.linalg.LinAlgError("the model does not stay near the motion")
+
+    monkeypatch.setattr(search, "likeliest", nowhere)
+    _, best = search.rounds(record.task, record.fitted.state, coarse=False)
+    assert np.array_equal(best.model, record.fitted.model)
 
 
 def test_steps_between_samples_are_as_fine_as_noise_lets_errors_be_seen():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,6 +28,9 @@ LEVEL, NOTHING_LEFT = 0.01, 30.0
 
 # A matrix of unit diagonal counts as singular if its least Cholesky pivot is at most this.
 LEAST_PIVOT = 1e-4
+
+# A channel has hardly any noise below this share of its innovations' variance; these shares are tried instead.
+HARDLY_NOISY, NOISIER = 0.01, (0.5, 0.1, 0.02)
 
 # Largest step of a level in `Levels.free`: in the logarithm of a variance or the logit of a memory.
 LONGEST = 2.0
@@ -285,7 +289,38 @@ def maximised(
     )
     levels = replace(levels.moved(least.x * unit), hessian=least.hessian)
     at_least = last is not None and np.array_equal(last[0], least.x)
-    return levels, last[1] if last is not None and at_least else marginal(linears, state, levels, precision)
+    found = last[1] if last is not None and at_least else marginal(linears, state, levels, precision)
+    slopes = np.where(held, 0.0, -least.gradient / unit)[: len(levels.channels)]
+    more = with_more_noise(linears, state, levels, precision, found, slopes, tolerance)
+    if more is None:
+        return levels, found
+    return maximised(linears, replace(state, levels=more), precision, held, steps, tolerance, steepest)
+
+
+def with_more_noise(
+    linears: Sequence[Linear],
+    state: State,
+    levels: Levels,
+    precision: Floats,
+    found: Statistics,
+    slopes: Floats,
+    least: float,
+) -> Levels | None:
+    """The levels with noise of channels that have hardly any, if that gains more than `least` nats; otherwise None.
+
+    The `slopes` of the log likelihood by the logarithms of variances, (M,), vanish with the variances: a search that
+    came there, on the way from a wrong law, would stay, and discrepancies would follow every sample.
+    """
+    variance = np.concatenate([one.variance for one in found.filtered])
+    innovations = variance.sum(axis=0) / np.maximum((variance > 0.0).sum(axis=0), 1)
+    hardly = (levels.channels < HARDLY_NOISY * innovations) & (slopes * innovations > least * levels.channels)
+    for share in NOISIER if hardly.any() else ():
+        channels = np.where(hardly, share * innovations, levels.channels)
+        more = replace(levels, channels=channels, hessian=None)
+        with suppress(np.linalg.LinAlgError):
+            if marginal(linears, state, more, precision, keep=False).value > found.value + least:
+                return more
+    return None
 
 
 def bent_by(
