@@ -9,13 +9,13 @@ import bayeq as bq
 from bayeq.inference.collapsed.listing import search_models
 from bayeq.inference.collapsed.search import scores_of
 from bayeq.likelihood.fit import Quadratic
-from bayeq.likelihood.spike import Soft, isotropic, root_of, softened
+from bayeq.likelihood.spike import Soft, coordinates, isotropic, root_of, softened
 from bayeq.numerics.settings import LIKELIHOOD
 
 
 def softened_about(q, S):
     root = root_of(q.information)
-    return softened(q.level, root, np.linalg.lstsq(root, q.slope, rcond=None)[0], S)
+    return softened(q.level, root, coordinates(root, q.slope), S)
 
 
 def test_deviations_are_integrated_out():

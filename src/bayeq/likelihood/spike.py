@@ -79,9 +79,9 @@ class Nearly:
 def softened(level: float, root: Floats, c: Floats, spread: Floats) -> Quadratic:
     """The likelihood about p coefficients with deviations N(0, S S') integrated out, S = `spread`, (p, K).
 
-    It is given as its level, the information A = F F' with `root` F, (p, r), and the slope F c. With F'S = U diag(s) V'
-    the result has the information F (I - U U') F' + F U diag(1/(1 + s^2)) U' F'. The equal A - A S (I + S'A S)^-1 S'A is
-    rounding if noise is low.
+    It is given as its level, the information A = F F' with `root` F, (p, r), and the slope F c (`coordinates`). With
+    F'S = U diag(s) V' the result has the information F (I - U U') F' + F U diag(1/(1 + s^2)) U' F'. The equal
+    A - A S (I + S'A S)^-1 S'A is rounding if noise is low.
     """
     U, s, _ = np.linalg.svd(root.T @ spread, full_matrices=False)
     left, inside = 1.0 / (1.0 + s**2), root @ U
@@ -92,6 +92,11 @@ def softened(level: float, root: Floats, c: Floats, spread: Floats) -> Quadratic
     slope = root @ outside + inside @ (left * along)
     level += 0.5 * float(np.sum(s**2 * left * along**2)) + 0.5 * float(np.log(left).sum())
     return Quadratic(level, slope, across @ across.T + within @ within.T)
+
+
+def coordinates(root: Floats, slope: Floats) -> Floats:
+    """c, (r,), of a slope F c, for the `root` F of the information."""
+    return np.asarray(np.linalg.lstsq(root, slope, rcond=None)[0])
 
 
 def isotropic(columns: Floats, moved: Sequence[Floats], deviation: float) -> Floats:
@@ -117,7 +122,7 @@ def softened_rows(gram: Gram, size: float) -> Gram:
     kept = squares > CUT * squares[-1]
     R = axes[:, kept] * np.sqrt(gram.yty / gram.n / squares[kept] / kept.sum())
     root = root_of(gram.DtD)
-    q = softened(0.0, root, np.linalg.lstsq(root, gram.Dty, rcond=None)[0], size * R)
+    q = softened(0.0, root, coordinates(root, gram.Dty), size * R)
     left = gram.yty - float(gram.Dty @ solved(gram.DtD, gram.Dty))
     yty = left + float(q.slope @ solved(q.information, q.slope))
     return replace(gram, DtD=q.information, Dty=q.slope, yty=yty)
@@ -239,7 +244,7 @@ class Soft:
     def at_fit(self) -> tuple[Quadratic, Floats]:
         """The likelihood about the fit, and c of its slope F c."""
         slope = self.whole.slope - self.whole.information @ self.about
-        return replace(self.whole, slope=slope), np.linalg.lstsq(self.root, slope, rcond=None)[0]
+        return replace(self.whole, slope=slope), coordinates(self.root, slope)
 
     def quadratic(self, tau: Sizes, constants: Sequence[Freed] | None = None) -> tuple[Quadratic, float]:
         """The likelihood of all candidates about zero, functions and constants integrated out; ln of its maximum."""
