@@ -326,6 +326,7 @@ def test_a_constant_at_the_end_of_its_range_is_said(record):
         "v0 is at the lower end of its range (0.4 .. 4 m/s): give a wider one, {v0: low..high}, or sign(v) in its place"
     )
     assert eqs.equations[0].at_ends == (message,)
+    assert eqs.equations[0].verdict.kind == "not determined"
     assert message in str(eqs).replace("\n", " ")
     assert message in " ".join(brief(eqs).split())
     assert f"a: {message}" in eqs.to_dict()["diagnostics"]["warnings"]

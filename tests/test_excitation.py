@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 from studies.adverse_records import CASES, draw_record
@@ -10,6 +12,7 @@ import bayeq as bq
 from bayeq.dictionary import Variables, build_dictionary
 from bayeq.equation.selection.excitation import repeating
 from bayeq.states import Roles, estimate_motion
+from bayeq.states.prepare import in_samples
 
 
 def judged(record, chains, inputs, dictionary):
@@ -88,3 +91,41 @@ def test_the_verdict_says_what_to_do(dictionary):
     assert verdict.kind == "not determined"
     assert "repeats itself" in verdict.reason
     assert "multisine" in verdict.advice
+
+
+def logistic(rate, n=200, noise=0.01, seed=0):
+    """A logistic map where it has come to rest on its cycle, or goes on in chaos, with noise."""
+    x = [0.4]
+    for _ in range(5000 + n):
+        x.append(rate * x[-1] * (1.0 - x[-1]))
+    clean = np.array(x[-n:])
+    return bq.Record.from_arrays(x=clean + noise * clean.std() * np.random.default_rng(seed).normal(size=n))
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01, 0.1])
+@pytest.mark.parametrize(("rate", "points"), [(3.2, 2), (3.5, 4), (3.61, None), (3.9, None)])
+def test_a_map_is_on_a_cycle(rate, points, noise):
+    """At 3.61 chaos fills two bands in turn: what is beside their means tells the map."""
+    roles = Roles.parse(("x",), discrete=True)
+    terms = build_dictionary("polynomial:3", Variables(roles.states, ()))
+    record = in_samples(logistic(rate, noise=noise), roles)
+    found = repeating(estimate_motion([record], roles, "auto", 0.2), terms)
+    assert (found.courses if found else None) == points
+
+
+@pytest.mark.parametrize(("rate", "verdict"), [(3.2, "not determined"), (3.5, "found"), (3.9, "found")])
+def test_two_points_determine_no_map(rate, verdict):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        eqs = bq.discover(logistic(rate), chains=["x"], discrete=True, dictionary="polynomial:3")
+    assert eqs.equations[0].verdict.kind == verdict
+
+
+def test_a_constant_that_may_be_0_alone_is_no_equation():
+    """Of channels of white noise the smoothed motion is a line, whose slope says nothing."""
+    rng = np.random.default_rng(12)
+    record = bq.Record.from_arrays(x=rng.normal(size=200), y=rng.normal(size=200), fs=20.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        eqs = bq.discover(record, chains=["x", "y"], dictionary="polynomial:2")
+    assert [one.verdict.kind for one in eqs.equations] == ["none", "none"]

@@ -13,7 +13,7 @@ from bayeq.equation.answer import with_shown
 from bayeq.equation.equation import Equation, RunnerUp
 from bayeq.equation.plan.information import likeliest_models
 from bayeq.equation.selection.alternatives import Alternatives, alternatives_to, bounds, common_root, undetermined
-from bayeq.equation.selection.excitation import Repeating, repeating
+from bayeq.equation.selection.excitation import SPARE, Repeating, repeating
 from bayeq.equation.selection.select import Selection
 from bayeq.equation.verdict import (
     CAREFUL,
@@ -29,7 +29,7 @@ from bayeq.equation.verdict import (
     with_clipping,
     with_kinks,
 )
-from bayeq.equation.written import chance
+from bayeq.equation.written import at_end, chance, is_at_end
 from bayeq.errors import (
     AmbiguityWarning,
     BayeqWarning,
@@ -101,7 +101,9 @@ def build_equations(
         if equation.target in same:
             reason = f"the equations for {' and '.join(same)} say the same"
             equation = replace(equation, verdict=Verdict("not determined", reason, f"offer {same[0]} no {same[-1]}"))
-        if not (equation.shown or equation.intercept_matters) and equation.verdict.kind != "none":
+        low, high = equation.intercept_ci95
+        constant = equation.intercept_matters and not low <= 0.0 <= high
+        if not (equation.shown or constant) and equation.verdict.kind != "none":
             without = Verdict("none", "no equation found: no candidate term is in the equation")
             equation = replace(equation, verdict=without)
         equations.append(equation)
@@ -285,6 +287,11 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
         return Verdict("not determined", f"as likely with {other}", "give narrower ranges, as in {a: 0.1..1}")
     if verdict.kind in ("none", "not determined"):
         return verdict
+    ended = next(filter(is_at_end, equation.shown_constants), None)
+    if ended is not None:
+        (message,) = at_end(ended, equation.constant_units.get(ended.name, ""), equation.terms)
+        reason, _, advice = message.partition(": ")
+        return Verdict("not determined", reason, advice)
     root = common_root(equation.chain, equation.terms, equation.shown_posterior)
     if root is not None:
         p = f"{root.real if root.imag == 0.0 else root:.3g}"
@@ -318,8 +325,9 @@ def doubted(
         share = 0.0 if lacking is None else lacking.size
     if share >= EQUATION.as_the_mean:
         return Verdict("none", f"no equation found: the terms leave no less of {target} than its mean does")
-    if again is not None:
-        return _on_one_orbit(again, chain, rate)
+    coefficients = len(equation.shown) + equation.intercept_matters
+    if again is not None and not (chain.discrete and coefficients + SPARE <= again.courses):
+        return _on_one_orbit(again, chain)
     for name, gain in zip(chain.measured, equation.unit_gains, strict=False):
         if name is not None and gain < 0.0:
             signs = f"{chain.measured[chain.lowest]} and {name} contradict each other in sign"
@@ -374,10 +382,13 @@ def doubted(
     return verdict
 
 
-def _on_one_orbit(again: Repeating, chain: Chain, rate: str) -> Verdict:
+def _on_one_orbit(again: Repeating, chain: Chain) -> Verdict:
+    if chain.discrete:
+        reason = f"the motion is a cycle of {again.courses} points, on which other maps are the same"
+        return Verdict("not determined", reason, "start elsewhere, or measure the way to the cycle")
     on_it = f"on it the {again.terms} candidates take {again.courses} independent courses"
-    reason = f"the motion repeats itself at {again.frequency:.4g} {rate}, and {on_it}"
-    if again.single and chain.order == 2 and not chain.discrete:
+    reason = f"the motion repeats itself at {again.frequency:.4g} Hz, and {on_it}"
+    if again.single and chain.order == 2:
         square = (2.0 * math.pi * again.frequency) ** 2
         alone = f"determines that alone: {chain.target} = -{square:.4g}*{chain.states[0]}"
         reason = f"the motion has one frequency, {again.frequency:.4g} Hz, and {alone}; {on_it}"

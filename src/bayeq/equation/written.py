@@ -308,14 +308,23 @@ def limit_of(one: ConstantEstimate, terms: Sequence[Expression], end: str) -> st
     return "the term without it"
 
 
+def place_of(one: ConstantEstimate) -> float:
+    """Where a constant is in its range: from 0 at the lower end to 1, by its logarithm if the range is logarithmic."""
+    low, value, high = (math.log(end) if one.logarithmic else end for end in (one.low, one.value, one.high))
+    return (value - low) / (high - low)
+
+
+def is_at_end(one: ConstantEstimate) -> bool:
+    """Whether the value of a constant reaches an end of its range."""
+    return min(place_of(one), 1.0 - place_of(one)) < AT_END
+
+
 def at_end(one: ConstantEstimate, unit: str = "", terms: Sequence[Expression] = ()) -> Iterator[str]:
     """A message if the value or the interval of a constant reaches an end of its range; none otherwise."""
-    low, value, high = (math.log(end) if one.logarithmic else end for end in (one.low, one.value, one.high))
-    place = (value - low) / (high - low)
     shown = f"({one.low:.3g} .. {one.high:.3g}{f' {unit}' if unit not in ('', '1') else ''})"
     cure = f"give a wider one, {{{one.name}: low..high}}, or "
-    if min(place, 1.0 - place) < AT_END:
-        end = "lower" if place < 0.5 else "upper"
+    if is_at_end(one):
+        end = "lower" if place_of(one) < 0.5 else "upper"
         yield f"{one.name} is at the {end} end of its range {shown}: {cure}{limit_of(one, terms, end)}"
         return
     ends = [end for end, reached in (("lower", one.ci95[0] <= one.low), ("upper", one.ci95[1] >= one.high)) if reached]

@@ -30,6 +30,12 @@ MOST_NOISE = 0.5
 # Number of frequencies tried within a line of the spectrum either way, then again and again in a narrower range.
 FREQUENCIES, TIMES = 21, 4
 
+# Deviations from the points of a map's cycle are at most this share of a state.
+MOST_BESIDE = 0.5
+
+# A map on a cycle of fewer points than an equation has coefficients and these together is not told apart from others.
+SPARE = 2
+
 # Points of the closed curve; prior variance of a coefficient over that of the target, as in the record's likelihood.
 POINTS, PRIOR = 720, 5.0
 
@@ -37,20 +43,23 @@ POINTS, PRIOR = 720, 5.0
 class Repeating(NamedTuple):
     """Periodic motion that does not distinguish the candidates."""
 
-    frequency: float  # fundamental frequency [Hz]
+    frequency: float  # fundamental frequency [Hz], or per sample
     courses: int  # rank of the candidates along the closed curve, as far as the noise shows
     terms: int  # number of candidates
     single: bool = False  # whether the states have no other frequency
 
 
 def repeating(motion: Motion, terms: Sequence[Expression]) -> Repeating | None:
-    """The periodicity of a motion whose records all run along closed curves that do not distinguish the candidates.
+    """The periodicity of a motion whose records all run along closed curves that do not distinguish the candidates, or
+    of a map on a cycle of few points.
 
-    None for other motion, for terms that use the time, and for maps, which are as white as noise if they are chaotic.
+    None for other motion, and for terms that use the time.
     """
     drivers = motion.roles.inputs
-    if not motion.timed or motion.roles.discrete or any(TIME in term.names for term in terms):
+    if not motion.timed or any(TIME in term.names for term in terms):
         return None
+    if motion.roles.discrete:
+        return _cycle(motion, len(terms))
     curves, frequency, noise, single = [], 0.0, math.inf, True
     for rows in motion.train:
         found = _closed_curve(rows, motion.roles.states, drivers, motion.roles.targets)
@@ -69,6 +78,32 @@ def repeating(motion: Motion, terms: Sequence[Expression]) -> Repeating | None:
     values = np.linalg.eigvalsh(unit.T @ unit / len(unit))
     courses = int((values > noise / PRIOR).sum())
     return None if courses >= len(terms) else Repeating(frequency, courses, len(terms), single)
+
+
+def _cycle(motion: Motion, terms: int) -> Repeating | None:
+    """The shortest cycle that all states and inputs of a map are on, of at most as many points as it has `terms` and
+    spare ones; what is beside the points is noise if the next sample does not follow it."""
+    names = [*motion.roles.states, *motion.roles.inputs]
+    pieces = [np.column_stack([rows.columns[name] for name in names]) for rows in motion.train]
+    spread = np.concatenate(pieces).std(axis=0)
+    for period in range(2, terms + SPARE + 1):
+        if min(map(len, pieces)) < SELECTION.least_periods * period:
+            return None
+        left, follows = [], 0.0
+        for values in pieces:
+            for phase in range(period):
+                beside = values[phase::period] - values[phase::period].mean(axis=0)
+                left.append(beside)
+                after = values[phase + 1 :: period]
+                both = np.column_stack([beside[: len(after)], after - after.mean(axis=0)])
+                with np.errstate(invalid="ignore", divide="ignore"):  # nothing is beside the points
+                    across = np.nan_to_num(np.corrcoef(both.T)[: len(names), len(names) :])
+                follows = max(follows, len(after) * float((across**2).max()))
+        share = np.concatenate(left).std(axis=0) / spread
+        on_points = bool((share <= SELECTION.transient).all())
+        if on_points or ((share < MOST_BESIDE).all() and follows < -2.0 * math.log(SELECTION.not_noise)):
+            return Repeating(1.0 / period, period, terms)
+    return None
 
 
 def _closed_curve(
