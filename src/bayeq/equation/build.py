@@ -325,8 +325,7 @@ def doubted(
         share = 0.0 if lacking is None else lacking.size
     if share >= EQUATION.as_the_mean:
         return Verdict("none", f"no equation found: the terms leave no less of {target} than its mean does")
-    coefficients = len(equation.shown) + equation.intercept_matters
-    if again is not None and not (chain.discrete and coefficients + SPARE <= again.courses):
+    if again is not None and not (chain.discrete and _spare(equation, again.courses) >= SPARE):
         return _on_one_orbit(again, chain)
     for name, gain in zip(chain.measured, equation.unit_gains, strict=False):
         if name is not None and gain < 0.0:
@@ -380,6 +379,11 @@ def doubted(
     if share > MUCH:
         return Verdict("nearly true", unexplained, f"{CAREFUL}: add terms or inputs")
     return verdict
+
+
+def _spare(equation: Equation, points: int) -> int:
+    """Points of a map's cycle beyond the coefficients of an equation, which that many determine whatever the law."""
+    return points - len(equation.shown) - equation.intercept_matters
 
 
 def _on_one_orbit(again: Repeating, chain: Chain) -> Verdict:

@@ -14,7 +14,7 @@ from bayeq.likelihood.blur import Blur, blur_of, first_blur
 from bayeq.likelihood.determinant import Determinant, determinant_of
 from bayeq.likelihood.filter import Filtered, run_filter
 from bayeq.likelihood.layout import NOTHING, Candidates, Layout, Series, Stated
-from bayeq.likelihood.levels import Levels
+from bayeq.likelihood.levels import MOST_NOISE, Levels
 from bayeq.likelihood.linear import Linear, linearise, terms_along
 from bayeq.numerics.minimise import minimise
 from bayeq.numerics.settings import LIKELIHOOD
@@ -313,6 +313,7 @@ def with_more_noise(
     """
     variance = np.concatenate([one.variance for one in found.filtered])
     innovations = variance.sum(axis=0) / np.maximum((variance > 0.0).sum(axis=0), 1)
+    innovations = np.minimum(innovations, MOST_NOISE * levels.scales.channels)
     hardly = (levels.channels < HARDLY_NOISY * innovations) & (slopes * innovations > least * levels.channels)
     for share in NOISIER if hardly.any() else ():
         channels = np.where(hardly, share * innovations, levels.channels)
