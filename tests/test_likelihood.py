@@ -281,6 +281,16 @@ def test_a_round_that_cannot_be_fitted_leaves_the_best_fit(monkeypatch):
     assert np.array_equal(best.model, record.fitted.model)
 
 
+def test_the_best_fit_of_rounds_comes_with_its_own_prior(monkeypatch):
+    """Under a prior widened for a later, less likely fit its terms would be too unlikely."""
+    record = from_all_rows()[0].fit.regression.record
+    wider = replace(record.task, precision=1e-6 * record.task.precision)
+    monkeypatch.setattr(search, "widened", lambda task, fitted: wider)
+    task, best = search.rounds(record.task, record.fitted.state, coarse=True)
+    assert np.array_equal(best.model, record.fitted.model)
+    assert task.precision is record.task.precision
+
+
 def test_steps_between_samples_are_as_fine_as_noise_lets_errors_be_seen():
     dictionary = "x, v, u"
     noisy, exact = (

@@ -98,8 +98,9 @@ def steady(task: Task, state: State) -> bool:
 
 
 def rounds(task: Task, state: State, coarse: bool) -> tuple[Task, Fitted]:
-    """The task and the best of a sequence of fits, each of the model that is likeliest on the Gram of the last one."""
-    best = now = fit(task, state, coarse)
+    """The best of a sequence of fits, each of the model that is likeliest on the Gram of the last one, and its task."""
+    now = fit(task, state, coarse)
+    best = task, now
     seen = {now.model.tobytes()}
     for _ in range(ROUNDS):
         try:
@@ -113,8 +114,8 @@ def rounds(task: Task, state: State, coarse: bool) -> tuple[Task, Fitted]:
             now = fit(task, state, coarse)
         except np.linalg.LinAlgError:  # the model does not stay near the motion
             break
-        best = max(best, now, key=lambda one: one.evidence)
-    return task, best
+        best = max(best, (task, now), key=lambda pair: pair[1].evidence)
+    return best
 
 
 def on_the_way(task: Task, state: State) -> tuple[Task, Fitted]:

@@ -44,7 +44,8 @@ class Repeating(NamedTuple):
     """Periodic motion that does not distinguish the candidates."""
 
     frequency: float  # fundamental frequency [Hz], or per sample
-    courses: int  # rank of the candidates along the closed curve, as far as the noise shows
+    # rank of the candidates along the closed curve, as far as the noise shows; points of a map's cycle
+    courses: int
     terms: int  # number of candidates
     single: bool = False  # whether the states have no other frequency
 
