@@ -382,7 +382,7 @@ def doubted(
 
 
 def _spare(equation: Equation, points: int) -> int:
-    """Points of a map's cycle beyond the coefficients of an equation, which that many determine whatever the law."""
+    """Points of a map's cycle beyond those that any law with as many coefficients as the equation passes through."""
     return points - len(equation.shown) - equation.intercept_matters
 
 

@@ -90,17 +90,15 @@ def _cycle(motion: Motion, terms: int) -> Repeating | None:
     for period in range(2, terms + SPARE + 1):
         if min(map(len, pieces)) < SELECTION.least_periods * period:
             return None
-        left, follows = [], 0.0
+        beside, follows = [], 0.0
         for values in pieces:
             for phase in range(period):
-                beside = values[phase::period] - values[phase::period].mean(axis=0)
-                left.append(beside)
-                after = values[phase + 1 :: period]
-                both = np.column_stack([beside[: len(after)], after - after.mean(axis=0)])
+                here, after = values[phase::period], values[phase + 1 :: period]
+                beside.append(here - here.mean(axis=0))
                 with np.errstate(invalid="ignore", divide="ignore"):  # nothing is beside the points
-                    across = np.nan_to_num(np.corrcoef(both.T)[: len(names), len(names) :])
-                follows = max(follows, len(after) * float((across**2).max()))
-        share = np.concatenate(left).std(axis=0) / spread
+                    both = np.nan_to_num(np.corrcoef(here[: len(after)], after, rowvar=False))
+                follows = max(follows, len(after) * float((both[: len(names), len(names) :] ** 2).max()))
+        share = np.concatenate(beside).std(axis=0) / spread
         on_points = bool((share <= SELECTION.transient).all())
         if on_points or ((share < MOST_BESIDE).all() and follows < -2.0 * math.log(SELECTION.not_noise)):
             return Repeating(1.0 / period, period, terms)

@@ -92,7 +92,7 @@ def distinct(models: Bools) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     packed = np.packbits(models, axis=1)
     keys = np.ascontiguousarray(packed).view(np.dtype((np.void, packed.shape[1]))).ravel()
     _, first, same = np.unique(keys, return_index=True, return_inverse=True)
-    return first, same.ravel()
+    return first, same
 
 
 def summed(models: Bools, probability: Floats) -> tuple[Bools, Floats]:
