@@ -19,6 +19,7 @@ from bayeq.errors import DataWarning, InputError
 from bayeq.inference import gibbs
 from bayeq.likelihood import spike
 from bayeq.regression.residuals import Fit
+from bayeq.study import dysts
 
 OSCILLATOR = {"chains": "x:v:a", "inputs": ["u"]}
 
@@ -328,3 +329,14 @@ def test_clipping_is_named_as_the_cause():
     assert both.reason == "a is clipped in 21 % of its rows; 5 % of a is not explained"
     other = with_clipping(Verdict("not determined", "two models", "measure longer"), "a", 0.21)
     assert other.advice == "measure longer; a is clipped in 21 % of its rows: measure it in a larger range"
+
+
+def test_half_of_the_motion_is_noise():
+    """Terms of smoothed states that are half noise explain little of a smoothed rate, however right the law is."""
+    records = dysts.draw("Lorenz", 50.0, 5000)
+    laws = {"dx": ["x", "y"], "dy": ["x", "y", "x*z"], "dz": ["z", "x*y"]}
+    right = quietly(records, chains=["x", "y", "z"], dictionary=laws, holdout=0.0)
+    assert [(one.verdict.kind, set(one.shown)) for one in right] == [("found", set(law)) for law in laws.values()]
+    assert right[0].train.r2 < 0.5
+    wrong = quietly(records, chains=["x", "y", "z"], dictionary={**laws, "dx": ["x", "z"]}, holdout=0.0)
+    assert wrong[0].verdict.kind == "none"

@@ -17,6 +17,7 @@ from bayeq.expressions.implicit import multiplied
 from bayeq.forecast.dynamics import Dynamics
 from bayeq.forecast.free_run import typical_period, window_runs
 from bayeq.forecast.rows import divided, rows_of
+from bayeq.inference.posterior import Posterior
 from bayeq.likelihood.channels import Suspect
 from bayeq.likelihood.hinges import Kinks
 from bayeq.numerics.settings import EQUATION
@@ -40,6 +41,9 @@ MOVED = 5
 
 LONGER = "a longer record, other amplitudes or frequencies would tell (bayeq plan), or terms known beforehand"
 CAREFUL = "parameters may be off by more than their intervals say"
+
+# Most rows at which the effect of the states' errors on an equation is drawn.
+MOST_MOVED = 1000
 
 # Most rows at which mass matrices are examined. A determinant counts as 0 below this share of the sum of the magnitudes
 # of its products: coefficients that are wrong by as much change its sign.
@@ -247,11 +251,27 @@ def alike(dynamics: Dynamics, motion: Motion) -> tuple[str, ...]:
     return tuple(target for target, part in zip(targets, parts, strict=True) if part > 0.0)
 
 
-def noise_share(regression: Regression, variance: float) -> float:
-    """Share of a target's variance that is noise, or error of its estimate, where a smoother has learned it; else 0."""
+def noise_share(regression: Regression, posterior: Posterior, variance: float) -> float:
+    """Share of a target's variance that is noise, as far as a smoother has learned it: of the target, or the error of
+    its estimate, and what errors of the estimated states make of the equation's terms."""
     motion, target = regression.motion, regression.chain.target
-    own = motion.estimated_by(regression.k)
-    error = state_noise(motion).get(target, 0.0) ** 2 if own is None else own.target_variance
+    own, kept = motion.estimated_by(regression.k), np.flatnonzero(posterior.support)
+    error = state_noise(motion).get(target, 0.0) ** 2 if own is None else own.variances[-1]
+    sds = {
+        name: math.sqrt(own_variance)
+        for chain, smoothing in zip(motion.roles.chains, motion.smoothing, strict=False)
+        for name, own_variance in zip(chain.states, smoothing.variances[:-1], strict=False)
+    }
+    if sds and len(kept):
+        terms, rng = [regression.design.terms[j] for j in kept], np.random.default_rng(0)
+        step = max(1, sum(rows.n for rows in motion.train) // MOST_MOVED)
+        columns = {
+            name: np.concatenate([rows.columns[name][::step] for rows in motion.train])
+            for name in motion.train[0].columns
+        }
+        moved = {name: columns[name] + sd * rng.standard_normal(len(columns[name])) for name, sd in sds.items()}
+        change = evaluate_terms(terms, {**columns, **moved}) - evaluate_terms(terms, columns)
+        error += float(np.nanmean((change @ posterior.coef[kept]) ** 2))
     return min(error / variance, 1.0) if variance > 0.0 else 0.0
 
 

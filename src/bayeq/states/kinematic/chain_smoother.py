@@ -38,7 +38,8 @@ class ChainSmoothing:
     unit_gains: Floats  # (K+1,), from `bayeq.states.sensors`
     # sd of the samples of zero that bound a coordinate that is not measured; None if it is measured
     coordinate_sd: float | None = None
-    target_variance: float = 0.0  # of the highest derivative given the samples, in its unit: the median over rows
+    # of each derivative given the samples, in its unit, (K+1,): the median over rows; empty if nothing was estimated
+    variances: tuple[float, ...] = ()
     freedom: float = 1.0  # degrees of freedom per row: posterior over noise variance of the lowest measured derivative
 
     def gain(self, frequency: Floats) -> Floats:
@@ -142,19 +143,19 @@ def smooth_chain(
         except RecordError as error:
             raise RecordError(f"{where}: {chain.measured[chain.lowest]!r} cannot be integrated: {error}") from None
         whole, model = [_bounded(s) for s in whole], replace(model, noise_sd=(bound, *model.noise_sd[1:]))
-    means, target = [], []
+    means, sds = [], []
     for s, cut in zip(whole, cuts, strict=True):
         parts = [s.take(slice(0, cut)), *([s.take(slice(cut, s.n))] if s.n - cut > 1 else [])]
         given_all = [smooth_kinematic(part.over(gains), model) for part in parts]
-        target += [one.sd[:, [chain.order, chain.lowest]] for one in given_all]
+        sds += [one.sd[:, : chain.order + 1] for one in given_all]
         smoothed = [one.mean[:, : chain.order + 1] for one in given_all]
         if s.n - cut == 1:
             smoothed.append(smoothed[0][-1:])
         means.append(np.concatenate(smoothed) * gains)
-    sd = np.concatenate(target)
-    variance, noise_sd = float(np.median(sd[:, 0]) * gains[-1]) ** 2, model.noise_sd[chain.lowest]
-    freedom = min(float(np.mean(sd[:, 1] ** 2)) / noise_sd**2, 1.0) if noise_sd else 1.0
-    return means, ChainSmoothing(model, _rate(series), gains, bound, variance, freedom)
+    sd, noise_sd = np.concatenate(sds), model.noise_sd[chain.lowest]
+    variances = tuple(((np.median(sd, axis=0) * gains) ** 2).tolist())
+    freedom = min(float(np.mean(sd[:, chain.lowest] ** 2)) / noise_sd**2, 1.0) if noise_sd else 1.0
+    return means, ChainSmoothing(model, _rate(series), gains, bound, variances, freedom)
 
 
 def smooth_further(record: Record, chain: Chain, smoothing: ChainSmoothing) -> Floats:
