@@ -178,6 +178,20 @@ def test_a_channel_that_is_coupled_ac_is_not_only_called_early():
     )
 
 
+@pytest.mark.parametrize("coupled", [True, False])
+def test_an_accelerometer_alone_that_is_coupled_ac_is_told_from_a_late_force(coupled):
+    clean = bq.simulate("duffing", n=4000, seed=6, noise=0.01)
+    if coupled:
+        changed = {"a": lfilter(*butter(1, 1.0, "high", fs=1000.0), clean["a"])}
+    else:
+        changed = {"u": np.interp(clean.time - 3e-4, clean.time, clean["u"])}
+    record = clean.with_channels(changed, clean.units)
+    terms = [term.replace("v", "dx") for term in TRUE]
+    advice = quietly(record, chains="::a", inputs=["u"], gain_sd=None, dictionary=terms).verdict.advice
+    named = r"a may be AC-coupled \(a high-pass at 0.[89]\d* Hz\)" if coupled else r"u may be 0.000(3|2\d*) s late"
+    assert re.search(named, advice), advice
+
+
 def test_channels_that_were_filtered_are_named_with_a_band_by_which_the_law_is_found():
     clean, (b, a) = bq.simulate("duffing", n=2500, seed=6, noise=0.02), butter(4, 0.4)
     record = clean.with_channels({name: filtfilt(b, a, clean[name]) for name in clean.channels}, clean.units)

@@ -156,11 +156,11 @@ def suspecting(verdict: Verdict, found: Suspect, seconds: float) -> Verdict:
         ),
     }[found.off]
     for other in found.as_well:
-        share = f"{in_digits(100 * abs(other.value))} %"
+        share, another = f"{in_digits(100 * abs(other.value))} %", "" if other.channel == name else f"{other.channel} "
         off += {
             "factor": f", or {other.channel} {share} too {'large' if other.value > 0.0 else 'small'}",
             "rate": f", or the sampling rate {share}",
-            "high-pass": f", or AC-coupled (a high-pass at {other.value:.2g} Hz)",
+            "high-pass": f", or {another}AC-coupled (a high-pass at {other.value:.2g} Hz)",
         }[other.off]
     if found.as_well and found.off == "factor":
         remedy = "check which, --gain-sd learns one"

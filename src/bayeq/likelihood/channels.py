@@ -11,6 +11,7 @@ removed from the samples, and lags are estimated again, until little of them is 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Literal, NamedTuple
@@ -24,6 +25,7 @@ from bayeq.likelihood.filter import run_filter
 from bayeq.likelihood.fit import State, Statistics, solved
 from bayeq.likelihood.layout import NOTHING, Layout
 from bayeq.likelihood.model import Task
+from bayeq.likelihood.search import CLEARLY
 from bayeq.numerics.distributions import excess_of
 from bayeq.numerics.spline import spline_slopes
 from bayeq.records.validate import EVEN
@@ -122,25 +124,27 @@ def suspects_of(task: Task, state: State, here: Statistics) -> tuple[Suspect, ..
     alike = {k: one for k, one in named.items() if one.off in ("factor", "rate")}
     if {one.off for one in alike.values()} == {"rate"}:
         named = {k: one for k, one in named.items() if k not in alike}
-    early: list[tuple[int, Off]] = [
-        (sought[k][0], "high-pass") for k, one in named.items() if one.off == "lag" and one.value < 0.0
-    ]
-    coupled = dict[str, Suspect]()
-    if early:  # as a channel with AC coupling seems
-        corners = _contradicted(layout, _directions(task, state, here, early), early).values()
-        coupled = {one.channel: one._replace(value=one.value / (2.0 * np.pi)) for one in corners if one.value > 0.0}
+    lagging = [k for k, one in named.items() if one.off == "lag"]
+    coupled = dict[str, list[Suspect]]()
+    if lagging:  # as a channel with AC coupling seems, which is early, or an input of motion that is measured with it
+        corners = _directions(task, state, here, [(sought[k][0], "high-pass") for k in lagging])
+        for k, value, gain, share in zip(lagging, *corners.alone, corners.shares, strict=True):
+            # the same innovations are explained: what makes a lag less certain does so with a corner
+            sds = named[k].sds * math.sqrt(gain / found.alone[1][k])
+            if sds > SUSPECTED and abs(value) * share > AS_SAID:
+                coupled[named[k].channel] = _coupled(layout, named[k], float(value) / (2.0 * math.pi), sds)
     for k, one in named.items():
         as_well = [other for m, other in alike.items() if m != k and k in alike and found.same(k, m)]
-        if one.off == "lag" and one.channel in coupled:  # in a narrow band they are the same
-            as_well.append(coupled[one.channel])
+        if one.off == "lag":  # in a narrow band they are the same
+            as_well += [other for other in coupled.get(one.channel, ()) if one.sds**2 - other.sds**2 < 2.0 * CLEARLY]
         named[k] = one._replace(as_well=tuple(as_well))
-    return (*out, *named.values(), *coupled.values())
+    return (*out, *named.values(), *(one for some in coupled.values() for one in some))
 
 
 def _contradicted(layout: Layout, found: _Directions, sought: Sequence[tuple[int, Off]]) -> dict[int, Suspect]:
-    """The errors that score tests find, by their numbers in `sought`; of AC coupling the corner in radians a second."""
+    """The errors that score tests find, by their numbers in `sought`."""
     squares, out = np.maximum(np.diagonal(found.information), np.finfo(np.float64).tiny), dict[int, Suspect]()
-    values = found.slope / squares
+    values, _ = found.alone
     for k in np.flatnonzero(np.abs(values) * found.shares > AS_SAID).tolist():
         # noise that is not white makes the slope less certain: by how much, the scores of the corrected channel show
         change, (i, off) = found.changes[..., k], sought[k]
@@ -150,6 +154,18 @@ def _contradicted(layout: Layout, found: _Directions, sought: Sequence[tuple[int
         if sds > SUSPECTED:
             out[k] = Suspect(layout.channels[i][0], off, float(values[k]), float(sds))
     return out
+
+
+def _coupled(layout: Layout, lagging: Suspect, corner: float, sds: float) -> list[Suspect]:
+    """AC-coupled channels: the one of a lag or, if the corner [Hz] is negative, all others, which it is compared with.
+
+    These are the channels of the motion if it is an input, and each coordinate has one channel.
+    """
+    measured = [chain.measured for chain in layout.roles.chains]
+    alone = [name for names in measured for name in filter(None, names)]
+    if corner < 0.0 and (lagging.channel not in layout.roles.inputs or len(alone) > len(measured)):
+        return []
+    return [Suspect(name, "high-pass", abs(corner), sds) for name in ([lagging.channel] if corner > 0.0 else alone)]
 
 
 def lost_rows(task: Task, state: State, here: Statistics) -> list[Suspect]:
@@ -189,6 +205,12 @@ class _Directions(NamedTuple):
     information: Floats  # (G, G), on the errors
     slope: Floats  # (G,), derivative of the log likelihood by the errors
     shares: Floats  # (G,), change of the channel by a unit of each error, as a share of its standard deviation
+
+    @property
+    def alone(self) -> tuple[Floats, Floats]:
+        """Each error if there is no other, and twice the log likelihood that it gains, (G,) each."""
+        values = self.slope / np.maximum(np.diagonal(self.information), np.finfo(np.float64).tiny)
+        return values, values * self.slope
 
     def same(self, k: int, m: int) -> bool:
         """Whether two errors change the record alike, or in opposite ways."""
