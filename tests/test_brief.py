@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from scipy.integrate import solve_ivp
 
 import bayeq as bq
 from bayeq.cli.app import main
+from bayeq.equation.brief import brief
 
 FULL = ["--disp", "x", "--vel", "v", "--acc", "a", "--force", "u"]
 
@@ -119,6 +121,16 @@ def test_a_late_force_is_the_likely_cause_where_nothing_is_found(tmp_path, capsy
     out = printed(capsys, "discover", path, *FULL, "--dictionary", "x, v, x**3, u", "--smooth", "none")
     assert out.startswith("verdict: none: the terms explain little of a")
     assert "Likely u may be 0.04 s late: --lag-sd u=0.05 learns that." in out
+
+
+@pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
+def test_a_warning_with_a_remedy_may_say_why_nothing_is_found():
+    noise = dict(zip("xvau", np.random.default_rng(1).normal(size=(4, 400)), strict=True))
+    eq = bq.discover(bq.Record.from_arrays(noise, fs=100.0), chains="x:v:a", inputs=["u"], dictionary=["x", "v", "u"])
+    assert eq.verdict.kind == "none"
+    assert "Try: bayeq info" in brief(eq)
+    warned = replace(eq, warnings=("a may be noise", "a has a mean of 2: take it out (--remove-offset a)"))
+    assert "A warning may say why: a has a mean of 2: take it out (--remove-offset a)." in brief(warned)
 
 
 def test_an_offset_of_the_force_is_offered_beside_a_position_of_rest(tmp_path, capsys):

@@ -167,3 +167,4 @@ def test_words_of_kinks():
     nothing = Verdict("none", "no equation found")
     assert with_kinks(nothing, kinks, pulses=False) is nothing
     assert with_kinks(nothing, kinks._replace(left=0.0), pulses=False).advice.startswith("x has a kink near")
+    assert with_kinks(nothing, kinks._replace(left=0.0), pulses=True) is nothing

@@ -160,6 +160,9 @@ def what_to_try(eq: Answer, folder: str | os.PathLike[str] = "") -> str:
     """Where no equation was found: the likely cause and a command."""
     if eq.verdict.advice:
         return printable(f"Likely {eq.verdict.advice}.")
+    warned = next((said for said in eq.warnings if "--" in said), None)
+    if warned is not None:  # of the record, as it was read
+        return printable(f"A warning may say why: {warned}.")
     names = [name for name in eq.data.files if name]
     file = printable(shlex.quote(os.path.join(folder, names[0]))) if names else "FILE"
     return (

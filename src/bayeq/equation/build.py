@@ -133,7 +133,8 @@ def build_equation(selection: Selection, window: Window | None) -> Equation:
     assert gram is not None
     assert judged is not None
     variance, whole = gram.yty / gram.n, regression.rows.select([]) + gram.select([]) if by_rest else gram
-    noise, share = noise_share(regression, shown, variance), variance / (whole.yty / whole.n) if whole.yty > 0.0 else 1.0
+    noise = noise_share(regression, shown, variance)
+    share = variance / (whole.yty / whole.n) if whole.yty > 0.0 else 1.0
     residuals = regression.residuals(shown, (*motion.roles.inputs, *motion.roles.states))
     # a term that equalities tie to others has the rule that decided on these
     differ = {

@@ -175,13 +175,15 @@ def suspecting(verdict: Verdict, found: Suspect, seconds: float) -> Verdict:
 def with_kinks(verdict: Verdict, kinks: Kinks, pulses: bool) -> Verdict:
     """The verdict, at best nearly true, where a function that no candidate has makes the law likelier.
 
-    It is no reason for doubt by itself in an input of motion with `pulses`, whose courses between samples look like it.
-    Where there is no equation it is the cause if it leaves nearly nothing.
+    It is no reason for doubt by itself in an input of motion with `pulses`, whose courses between samples look like it,
+    nor the cause where there is no equation. In another channel it is the cause if it leaves nearly nothing.
     """
     at = " and ".join(f"{place:.2g}" for place in kinks.places)
     kind = "a kink" if kinks.alone else "a function that bends"
     said, offer = f"{kinks.name} has {kind} near {at}, which no candidate has", f"offer {', '.join(kinks.terms)}"
-    if (verdict.kind == "none" and not kinks.left < EQUATION.nothing_else) or (verdict.kind == "found" and pulses):
+    if verdict.kind == "found" and pulses:
+        return verdict
+    if verdict.kind == "none" and (pulses or not kinks.left < EQUATION.nothing_else):
         return verdict
     if verdict.kind == "found":
         return Verdict("nearly true", said, f"{CAREFUL}: {offer}")
