@@ -19,7 +19,7 @@ from bayeq.equation.plan.information import (
     seconds_until,
     unexplained,
 )
-from bayeq.equation.plan.plan import plan_excitation
+from bayeq.equation.plan.plan import noise_of_intervals, plan_excitation
 from bayeq.errors import DataWarning, InputError
 from bayeq.expressions import Evaluator, parse
 from bayeq.inference.posterior import Constant, Details, Posterior
@@ -442,8 +442,28 @@ def test_a_plan_for_equations_that_were_not_found_warns(found):
         bad.plan(realisations=2, seconds=0.1)
 
 
-def test_correlated_residuals_count_for_their_effective_number(found):
-    quarter = replace(found[0].residuals, n_eff=found[0].residuals.n / 4)
-    doubtful = replace(found, equations=(replace(found[0], residuals=quarter),))
-    noise = doubtful.plan(realisations=2, seconds=0.1).conditions["noise"]["a"]
+def test_the_noise_of_a_target_is_that_of_the_intervals(found):
+    shown = found[0].shown_posterior
+    assert noise_of_intervals(found[0]) == pytest.approx(found[0].noise_sd, rel=0.01)  # rows of white noise
+    wider = replace(found[0], shown_posterior=replace(shown, covariance=4.0 * shown.covariance))
+    assert noise_of_intervals(wider) == pytest.approx(2.0 * noise_of_intervals(found[0]))
+    # without shares of the terms the residuals tell, by their effective number
+    quarter = replace(found[0], share=None, residuals=replace(found[0].residuals, n_eff=found[0].residuals.n / 4))
+    noise = replace(found, equations=(quarter,)).plan(realisations=2, seconds=0.1).conditions["noise"]["a"]
     assert noise == pytest.approx(2 * found[0].noise_sd)
+
+
+def test_precise_displacements_tell_coefficients_that_a_noisy_acceleration_does_not():
+    clean, rng = bq.simulate("duffing", n=1000, fs=200.0, seed=3, noise=0.0), np.random.default_rng(4)
+    shares = {"x": 0.002, "v": 0.05, "a": 0.1, "u": 0.002}
+    noise = {name: share * clean[name].std() for name, share in shares.items()}
+    channels = {name: clean[name] + sd * rng.normal(size=clean.n) for name, sd in noise.items()}
+    eq = bq.discover(
+        bq.Record.from_arrays(channels, time=clean.time),
+        chains="x:v:a",
+        inputs=["u"],
+        dictionary=["x", "v", "x**3", "u"],
+    )
+    assert noise_of_intervals(eq[0]) < 0.2 * noise["a"]
+    plan = eq.plan(realisations=2)
+    assert plan.best.seconds == pytest.approx(plan.conditions["seconds"])  # the whole of it, which is more than enough

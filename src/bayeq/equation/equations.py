@@ -6,7 +6,6 @@ import json
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from math import sqrt
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -353,8 +352,8 @@ class Equations(Answer):
         seconds, fs : float, optional
             Length and sampling rate; by default those of the record, of at most 4000 samples.
         noise : mapping of str to float, optional
-            Standard deviation of the noise of targets, white; by default that of the equation, more where its residuals
-            are correlated in time.
+            Standard deviation of the noise of targets, white; by default that with which least squares on the record
+            would have the intervals of the equation, which all channels gave.
         limits : mapping of str to float, optional
             Largest magnitude of states. A design whose motion would exceed one is scaled down until it keeps it.
         odds : float
@@ -372,15 +371,15 @@ class Equations(Answer):
         Raises
         ------
         InputError
-            Equations without input, or whose file holds no models; maps, static laws, hidden states or terms in t or in
-            highest derivatives; unknown names, numbers out of range.
+            Equations without input, or whose file holds no models; maps, static laws, hidden states, coefficients that
+            differ between records, terms in t or in highest derivatives; unknown names, numbers out of range.
 
         Warns
         -----
         DataWarning
             The verdict on the equations is ``none``.
         """
-        from bayeq.equation.plan.plan import plan_excitation
+        from bayeq.equation.plan.plan import noise_of_intervals, plan_excitation
 
         heads = {equation.target for equation in self.equations}
         refused = {
@@ -390,6 +389,7 @@ class Equations(Answer):
                 chain.static for chain in self.chains
             ),
             "a measurement is planned for equations without hidden states: measure them too": bool(self.roles.hidden),
+            "coefficients differ between records: plan for the equations of one record": bool(self.numbers),
             "terms use t, the time: a measurement is planned for equations that do not depend on it": self.roles.timed,
             "a measurement is planned for equations whose terms hold no highest derivatives": any(
                 term.names & heads for equation in self.equations for term in equation.terms
@@ -408,8 +408,7 @@ class Equations(Answer):
             self.data.measured,
             self.states,
             self.inputs,
-            # the white noise that hides as much as the residuals, which may be correlated in time
-            {one.target: one.noise_sd * sqrt(one.residuals.n / one.residuals.n_eff) for one in self.equations},
+            {one.target: noise_of_intervals(one) for one in self.equations},
             amplitude=amplitude,
             band=band,
             seconds=seconds,

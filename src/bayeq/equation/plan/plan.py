@@ -60,6 +60,22 @@ def plan_excitation(
     return _Planning(equations, roles, conditions, odds).plan(realisations, seed, progress)
 
 
+def noise_of_intervals(equation: Equation) -> float:
+    """Standard deviation of the white noise of a target that would give the intervals of the record by least squares.
+
+    Of a term with the coefficient c and the share s of the target's sum of squares Y least squares has the variance
+    c^2 sigma^2/(s Y): sigma is the geometric mean over the terms shown.
+    """
+    shown, residuals = equation.shown_posterior, equation.residuals
+    kept, share = shown.support, np.zeros(len(shown.support)) if equation.share is None else equation.share
+    relative = (shown.sd[kept] / shown.coef[kept]) ** 2 * share[kept]
+    if not (len(relative) and (relative > 0.0).all() and equation.train.nrmse > 0.0):
+        # the white noise that hides as much as the residuals, which may be correlated in time
+        return equation.noise_sd * math.sqrt(residuals.n / residuals.n_eff)
+    target_sd = equation.noise_sd / equation.train.nrmse
+    return target_sd * math.sqrt(equation.train.n * math.exp(float(np.log(relative).mean())))
+
+
 class _Planning:
     """Leading models and rivals of equations, and the conditions of the measurement that is to distinguish them."""
 
@@ -157,7 +173,7 @@ class _Planning:
             ]
             rates = np.array([0.5 * float(np.log1p(gain).sum()) for gain in gains]) / seconds_each
             rate, sd = float(rates.mean()), float(rates.std(ddof=1))
-            seconds = float(np.mean([seconds_to_halve(gain, seconds_each) for gain in gains]))
+            seconds = max(float(np.mean([seconds_to_halve(gain, seconds_each) for gain in gains])), seconds_each)
         amplitudes = dict(zip(self.roles.inputs, (share * self.conditions.reach).tolist(), strict=True))
         return Outcome(design, amplitudes, share not in SHARES, rate, sd, seconds, peaks, tuple(separations))
 
@@ -173,9 +189,15 @@ class _Planning:
         if_rival = None if np.isnan(behind).all() else float(np.nanmean(behind))
         extra = int(rival.model.support.sum()) - int(leading.support.sum())
         wanted = math.log(self.odds)
-        cases = [(leading, rival.model, ahead, seconds_until(wanted - rival.log_odds, float(ahead.mean()), extra, fs))]
+
+        def until(needed: float, rate: float, occam: int) -> float:
+            # the rate is that of the whole design: a part of it, from rest, may tell nothing
+            seconds = seconds_until(needed, rate, occam, fs)
+            return max(seconds, self.conditions.seconds) if seconds > 0.0 else 0.0
+
+        cases = [(leading, rival.model, ahead, until(wanted - rival.log_odds, float(ahead.mean()), extra))]
         if if_rival is not None:
-            seconds = seconds_until(wanted + rival.log_odds, if_rival, -extra, fs)
+            seconds = until(wanted + rival.log_odds, if_rival, -extra)
             cases.append((rival.model, leading, behind[np.isfinite(behind)], seconds))
         # motion never shows that the smaller of nested models is true
         shown = [(rates, seconds) for true, other, rates, seconds in cases if not _contains(other, true)]
