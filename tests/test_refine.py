@@ -14,6 +14,7 @@ from scipy.optimize import least_squares
 from studies.refinement import CASES, draw_record, measure_case, measure_record
 
 import bayeq as bq
+from bayeq.equation.refine import output_error as fitting
 from bayeq.equation.refine import refine as refining
 from bayeq.equation.refine.output_error import Known, _excess, output_error
 from bayeq.errors import BayeqWarning, ConvergenceWarning, DataWarning, InputError, RecordError
@@ -512,3 +513,18 @@ def test_lines_of_the_study():
     assert table["worse"] == "0.200"
     assert table["error_regression"] == "0.2"
     assert table["coverage"] == "0.750"
+
+
+def test_coefficients_are_averaged_over_courses_of_the_inputs(monkeypatch):
+    def of_course(motion, dynamics, parameters, known, kind):
+        value, log = {"cubic": (1.0, -10.0), "linear": (9.0, -60.0), "band-limited": (2.0, -10.0 + math.log(3.0))}[kind]
+        empty = np.zeros(0)
+        return fitting.OutputError(
+            np.array([value]), np.array([[0.01]]), empty, 1.0, empty, False, {}, {}, kind, True, log
+        )
+
+    monkeypatch.setattr(fitting, "_of_course", of_course)
+    found = output_error(None, None, np.zeros(1), None, ["cubic", "linear", "band-limited"])
+    assert found.interpolation == "band-limited"
+    assert found.parameters[0] == pytest.approx(0.25 * 1.0 + 0.75 * 2.0)
+    assert found.covariance[0, 0] == pytest.approx(0.01 + 0.25 * 0.75 * 1.0)

@@ -13,6 +13,7 @@ found.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
@@ -138,21 +139,31 @@ class Known:
 def output_error(
     motion: Motion, dynamics: Dynamics, parameters: Floats, known: Known, kinds: Sequence[Interpolation]
 ) -> OutputError | Unrefined:
-    """Output error on the training rows of a smoothed motion, starting from `parameters`; inputs between samples are of
-    the first of `kinds`, unless another is much likelier."""
-    best: OutputError | None = None
+    """Output error on the training rows of a smoothed motion, starting from `parameters`.
+
+    Of the courses that inputs may take between samples, `kinds`, the likeliest is named; mean and covariance of the
+    parameters are those of the mixture, weighed by the likelihood.
+    """
+    found: list[OutputError] = []
     failed: Unrefined | None = None
     for kind in kinds:
         with np.errstate(all="ignore"):
-            found = _of_course(motion, dynamics, parameters if best is None else best.parameters, known, kind)
-        if isinstance(found, Unrefined):
-            failed = failed or found
-        elif best is None or 2.0 * (found.log_likelihood - best.log_likelihood) > REFINE.closer:
-            best = found
-    if best is None:
+            one = _of_course(motion, dynamics, found[-1].parameters if found else parameters, known, kind)
+        if isinstance(one, Unrefined):
+            failed = failed or one
+        else:
+            found.append(one)
+    if not found:
         assert failed is not None
         return failed
-    return best
+    best = max(found, key=lambda one: one.log_likelihood)
+    weights = np.array([math.exp((one.log_likelihood - best.log_likelihood) / best.excess) for one in found])
+    weights /= weights.sum()
+    mean = sum((w * one.parameters for w, one in zip(weights, found, strict=True)), np.zeros(len(parameters)))
+    apart = [one.parameters - mean for one in found]
+    covariances = (one.covariance + np.outer(off, off) for one, off in zip(found, apart, strict=True))
+    covariance = sum((w * each for w, each in zip(weights, covariances, strict=True)), np.zeros(best.covariance.shape))
+    return replace(best, parameters=mean, covariance=covariance)
 
 
 def _of_course(
