@@ -159,6 +159,17 @@ def test_the_displacement_of_a_base_is_an_input(name, unit) -> None:
     assert alone.guess.chains == ((name, None, None),)
 
 
+def test_pressures_beside_a_displacement_are_inputs() -> None:
+    t, y, _ = forced(
+        lambda y, u: [y[1], 900 * (y[2] - y[3]) - 3 * y[1], u - y[2] - 0.2 * y[1], -u - y[3] + 0.2 * y[1]], [0.0] * 4
+    )
+    record = noisy(t, Weg=y[0], Kammer_1=5 + y[2], Kammer_2=5 + y[3])
+    found = bq.info(bq.Record(record.channels, t, {"Weg": "mm", "Kammer_1": "bar", "Kammer_2": "bar"}))
+    assert found.proposal.python == "bq.discover(record, displacement='Weg', inputs=['Kammer_1', 'Kammer_2'])"
+    alone = bq.info(bq.Record({name: record[name] for name in ("Kammer_1", "Kammer_2")}, t, {"Kammer_1": "bar"}))
+    assert alone.guess.inputs == ()
+
+
 def test_angles_of_two_inertias_are_neighbours_in_one_unit(tmp_path) -> None:
     t, y, u = forced(
         lambda y, u: [y[2], y[3], 50 * u - 6000 * (y[0] - y[1]) - y[2], 2400 * (y[0] - y[1]) - y[3]], [0.0] * 4

@@ -163,14 +163,24 @@ def clues_of(units: Mapping[str, str]) -> dict[str, Clue]:
     """
     first = {name.rpartition("_")[0] for name in units}
     if len(units) < 2 or len(first) > 1:
-        return _on_a_base({name: clue_of(name, unit) for name, unit in units.items()})
+        return _together({name: clue_of(name, unit) for name, unit in units.items()}, units)
     rest = {name: name.rpartition("_")[2] for name in units}
     said, tier, _ = _order_of_name(_parts("".join(first)))
     if said == INPUT and tier == 0 and all(name.isdigit() for name in rest.values()):
         return {name: clue_of(f"ch{rest[name]}", unit) for name, unit in units.items()}
     kinds = {_order_of_name(_parts(name))[0] for name in rest.values()}
     plain = said is None or (tier == 2 and None not in kinds and len(kinds) > 1)
-    return _on_a_base({name: clue_of(rest[name] if plain else name, unit) for name, unit in units.items()})
+    return _together({name: clue_of(rest[name] if plain else name, unit) for name, unit in units.items()}, units)
+
+
+def _together(clues: Mapping[str, Clue], units: Mapping[str, str]) -> dict[str, Clue]:
+    """Clues with what the other channels say: a pressure beside a displacement is an input, as that of a cylinder."""
+    pressures = [name for name, unit in units.items() if unit in PRESSURES and clues[name].order in (None, 0, 1, 2)]
+    if any(clue.order == 0 for name, clue in clues.items() if name not in pressures):
+        why = {name: f"its unit {units[name]}, beside a displacement" for name in pressures}
+        given = {name: replace(clues[name], order=INPUT, why=why[name], by_unit=True, rank=0) for name in pressures}
+        clues = {**clues, **given}
+    return _on_a_base(clues)
 
 
 def _on_a_base(clues: Mapping[str, Clue]) -> dict[str, Clue]:
