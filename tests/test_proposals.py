@@ -184,6 +184,24 @@ def test_angles_of_two_inertias_are_neighbours_in_one_unit(tmp_path) -> None:
     assert "load_angle is to be in the unit of the others: 0.0174532925199 rad" in bq.info(record).proposal.notes
 
 
+@pytest.mark.parametrize(
+    ("channels", "chains"),
+    [
+        ({"Wagenweg": "mm", "Lastweg": "mm"}, ("Wagenweg::", "Lastweg::")),
+        ({"Kranposition": "m", "Seilwinkel": "°"}, ("Kranposition::", "Seilwinkel::")),
+        ({"Weg": "mm", "Winkel": "°"}, ("Weg::", "Winkel::")),
+        ({"Seilwinkel": "°", "Kranweg": "m", "Krangeschwindigkeit": "m/s", "Seilwinkelgeschwindigkeit": "°/s"}, (
+            "Seilwinkel:Seilwinkelgeschwindigkeit:", "Kranweg:Krangeschwindigkeit:"
+        )),
+        ({"Drehwinkel": "°", "Winkelgeschwindigkeit": "°/s"}, ("Drehwinkel:Winkelgeschwindigkeit:",)),
+    ],
+)  # fmt: skip
+def test_stems_of_compounds_tell_coordinates_apart(channels, chains) -> None:
+    noise = np.random.default_rng(0).standard_normal((len(channels), 600))
+    found = bq.info(bq.Record(dict(zip(channels, noise, strict=True)), np.arange(600) / 50, channels))
+    assert found.to_dict()["roles"]["chains"] == list(chains)
+
+
 def test_derivatives_at_another_rate_name_that_rate() -> None:
     t, (x, v), u = forced(lambda y, u: [y[1], u - 0.5 * y[1] - 200.0 * y[0]], [0.0, 0.0])
     a = u - 0.5 * v - 200.0 * x

@@ -19,6 +19,7 @@ TITLES = {0: "displacement", 1: "velocity", 2: "acceleration", INPUT: "force or 
 LOADS = {*FORCES, "Nm", "kNm", "mNm"}
 ANGLES = {"rad", "mrad", "deg", "°", "rev", "rpm"}
 DEGREES = {"deg", "°"}
+PRESSURES = {"Pa", "hPa", "kPa", "MPa", "mbar", "bar", "psi", "atm", "mmHg"}
 NAMES_OF_ANGLES = {"th", "theta", "phi", "angle", "winkel"}
 WARMTH = {"°C", "K", "degC", "°F", "degF"}
 
@@ -265,7 +266,8 @@ def _order_of_name(parts: Sequence[str]) -> tuple[int | None, int, list[str]]:
         said = [(k, order) for k, part in enumerate(parts) if (order := _said(part, table, tier, k)) is not None]
         if said:
             k, order = said[-1]  # the head of "shaker acceleration" is its last word
-            return order, tier, [part for i, part in enumerate(parts) if i != k and not part.isdigit()]
+            others = [_stem(part, table) if i == k else part for i, part in enumerate(parts)]
+            return order, tier, [part for part in others if part and not part.isdigit()]
     return None, 0, [part for part in parts if not part.isdigit()]
 
 
@@ -275,9 +277,21 @@ def _said(part: str, table: Mapping[str, int], tier: int, place: int) -> int | N
         return table.get(part) if len(part) > 1 or place == 0 else None
     if len(part) > 3 and part[-1] in "xyz" and part[:-1] in table:
         return table[part[:-1]]
-    within = [w for w in table if len(w) >= COMPOUND and (part.startswith(w) or part.endswith(w))]
-    within += ["weg"] if tier == 0 and part.endswith("weg") else []
+    within = [w for w in table if len(w) >= COMPOUND and part.startswith(w)] + _ends(part, table)
     return table[max(within, key=len)] if within else None
+
+
+def _ends(part: str, table: Mapping[str, int]) -> list[str]:
+    """Words of a table in which a compound may end."""
+    return [w for w in table if (len(w) >= COMPOUND or w == "weg") and part.endswith(w)]
+
+
+def _stem(part: str, table: Mapping[str, int]) -> str:
+    """What stands before the words at the end of a compound: pendel of pendelwinkelgeschwindigkeit; or nothing."""
+    stem = part
+    while ends := _ends(stem, table):
+        stem = stem.removesuffix(max(ends, key=len))
+    return stem if stem != part else ""
 
 
 def _is_place(part: str, places: Sequence[str]) -> bool:
@@ -510,14 +524,18 @@ def _chains(
     indices = [next(clues[name].index for name in chain if name is not None) for chain in found]
     for name in left:
         order, index = int(clues[name].order or 0), clues[name].index
+        of_kind = [  # no angle belongs to a length
+            (chain, other)
+            for chain, other in zip(chains, indices, strict=True)
+            if not {True, False} <= {clues[n].angle for n in (name, *chain) if n is not None}
+        ]
         fits = [
             chain
-            for chain, other in zip(chains, indices, strict=True)
+            for chain, other in of_kind
             if chain[order] is None
-            and not {True, False} <= {clues[n].angle for n in (name, *chain) if n is not None}
             and (index == other or (len(chains) == 1 and counts[order] == 1) or (alone and not found))
         ]
-        if not fits and index not in indices:
+        if not fits and all(index != other for _, other in of_kind):
             fits = [[None, None, None]]
             chains += fits
             indices.append(index)
