@@ -604,6 +604,23 @@ def test_columns_of_words_are_left_out(suffix, place, tmp_path, capsys):
     assert found_by == {"a": {"x", "v", "x**3", "u"}}
 
 
+def test_words_that_are_constant_over_experiments_number_them(tmp_path, capsys):
+    pd = pytest.importorskip("pandas")
+    record = bq.simulate("duffing", n=400, seed=1)
+    frame = pd.DataFrame({"Sample": "S1", "by": "A. B.", "t": record.time, **record.channels})
+    frame.loc[150:, ["Sample", "t"]] = [["S2", value - record.time[150]] for value in record.time[150:]]
+    path = tmp_path / "run.csv"
+    frame.to_csv(path, index=False)
+    found = bq.info(path)
+    assert found.to_dict()["experiments"]["rows"] == [150, 250]
+    assert {"2 experiments, 150 to 250 rows each, numbered by Sample", "by holds words, not numbers: left out"} <= {
+        *found.findings
+    }
+    assert "run.csv --group Sample --disp x" in found.proposal.command
+    assert bq.info(path, group="Sample").proposal.command == found.proposal.command
+    assert found_terms(found.proposal.command, capsys, "--smooth", "none") == {"a": {"x", "v", "x**3", "u"}}
+
+
 def test_a_cell_that_is_no_number_is_no_column_of_words(tmp_path):
     path = tmp_path / "run.csv"
     path.write_text("t,x,v\n" + "".join(f"{k},{k % 7},{k % 5}\n" for k in range(50)) + "50,oops,1\n")

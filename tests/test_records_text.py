@@ -193,6 +193,24 @@ def test_group(tmp_path: Path) -> None:
         read(put(tmp_path, "g,t,x\n0,0,1\n0,1,2\n1,5,3\n1,4,4\n"), group="g")
 
 
+@pytest.mark.parametrize("suffix", ["csv", "csv.gz", "xlsx", "parquet"])
+def test_a_group_may_hold_words(suffix, tmp_path):
+    pd = pytest.importorskip("pandas")
+    pytest.importorskip({"parquet": "pyarrow", "xlsx": "openpyxl"}.get(suffix, "numpy"))
+    labels = ["R1"] * 4 + ["R2", "R2", "long run", "long run"]
+    frame = pd.DataFrame({"t": [0.0, 1, 2, 3, 0, 1, 0, 1], "label": labels, "x": np.arange(8.0)})
+    path = tmp_path / f"run.{suffix}"
+    {"parquet": frame.to_parquet, "xlsx": frame.to_excel}.get(suffix, frame.to_csv)(path, index=False)
+    trials = read(path, group="label")
+    assert [list(trial.channels) for trial in trials] == [["x"]] * 3
+    assert [trial["x"].tolist() for trial in trials] == [[0, 1, 2, 3], [4, 5], [6, 7]]
+    frame.loc[5, "label"] = None
+    if suffix == "csv":
+        frame.to_csv(path, index=False)
+        with pytest.raises(RecordError, match="the group is missing"):
+            read(path, group="label")
+
+
 def test_suffixes(tmp_path: Path) -> None:
     assert read(put(tmp_path, "1 2\n", "run.asc")).names == ("c1", "c2")
     with pytest.raises(FileFormatError, match=r"no format for the suffix '.bin', and not text; known: .csv"):

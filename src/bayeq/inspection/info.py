@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from bayeq.errors import InputError, LengthsError, RecordError, WordsError, in_digits, some_of
+from bayeq.arrays import Floats
+from bayeq.errors import BayeqError, InputError, LengthsError, RecordError, WordsError, in_digits, some_of
 from bayeq.inspection.channels import ChannelInfo, describe_channels
 from bayeq.inspection.contents import Proposal, Reading, RecordInfo, propose
 from bayeq.inspection.first_order import of_first_order
@@ -42,6 +43,7 @@ CHECKED = 40_000
 
 # Maximum number of bad rows that are listed.
 LISTED = 3
+LEFT_OUT = "holds words, not numbers: left out"
 
 
 def info(
@@ -113,13 +115,15 @@ def _numbers(path: Path, how: dict[str, Any]) -> tuple[Experiments, list[str]]:
     words: list[str] = []
     while True:
         try:
-            return _opened(path, how), remarks
+            found = _opened(path, how)
+            by_words = (_by_words(path, how, found, name) for name in words if how["group"] is None)
+            found = next((one for one in by_words if one is not None), found)
+            return found, [*(f"{name} {LEFT_OUT}" for name in words if name != found.column), *remarks]
         except WordsError as error:
             how["columns"] = [name for name in error.others if name not in words]
             if how["names"] or how["channels"] or not how["columns"] or error.column in (how["time"], how["group"]):
                 raise
             words.append(error.column)
-            remarks.append(f"{error.column} holds words, not numbers: left out")
         except LengthsError as error:
             if how["names"]:
                 raise
@@ -131,15 +135,28 @@ def _numbers(path: Path, how: dict[str, Any]) -> tuple[Experiments, list[str]]:
             remarks.append(f"of arrays of {usual} samples; there are others: {others} (--channel NAME)")
 
 
-def _opened(path: Path, how: Mapping[str, Any]) -> Experiments:
-    """Read a file by experiment, also one in which time starts over, which `read` refuses."""
+def _by_words(path: Path, how: Mapping[str, Any], found: Experiments, column: str) -> Experiments | None:
+    """The file by the runs of a column of words, if these tell experiments apart; `found` is the file without it."""
+    try:
+        parts = read(path, **{**how, "group": column, "fs": 1.0, "time": None})
+    except BayeqError:
+        return None
+    runs = np.repeat(np.arange(len(parts), dtype=np.float64), [part.n for part in parts])
+    if how["rows"] is not None or len(runs) != sum(record.n for record in found.records):
+        return None
+    again = _opened(path, how, {column: runs})
+    return again if again.column == column else None
+
+
+def _opened(path: Path, how: Mapping[str, Any], also: Mapping[str, Floats] | None = None) -> Experiments:
+    """Read a file by experiment, also one in which time starts over, which `read` refuses; with channels `also`."""
     time, group = how["time"], how["group"]
     found: list[Record] | Record
     try:
         found = read(path, **how)
         if isinstance(found, list):
             return Experiments(tuple(found), column=group)
-        return sort_rows(found)
+        return sort_rows(found.with_channels(also or {}))
     except RecordError as error:
         if how["fs"] is not None or group is not None:
             raise
@@ -149,7 +166,7 @@ def _opened(path: Path, how: Mapping[str, Any]) -> Experiments:
         if column is None:
             raise
         try:
-            return sort_rows(Record(record.channels, None, record.units, record.name), column)
+            return sort_rows(Record({**record.channels, **(also or {})}, None, record.units, record.name), column)
         except RecordError:
             raise error from None  # the first error names the row of the file
 

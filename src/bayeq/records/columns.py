@@ -143,13 +143,18 @@ class Columns:
         return self.headers.names
 
     @classmethod
-    def build(cls, headers: Headers, values: Callable[[int], Any], chosen: Select | None = None) -> Columns:
-        """Take the chosen columns; `values(i)` gives the samples of column i, of any numeric type."""
+    def build(
+        cls, headers: Headers, values: Callable[[int], Any], chosen: Select | None = None, group: str | None = None
+    ) -> Columns:
+        """Take the chosen columns; `values(i)` gives the samples of column i, numbers, or of the `group` also words."""
         rows = list(chosen(headers)) if chosen else list(range(len(headers)))
         arrays, begins = [], None
         kept = headers.at(rows)
+        labels = None if group is None else headers.find(group)
         for place, i in enumerate(rows):
             raw = np.asanyarray(values(i))
+            if i == labels and raw.dtype.kind == "O":
+                raw = np.unique(raw.astype(str), return_inverse=True)[1]
             what = f"column {headers.texts[i] or headers.names[i]!r}"
             try:
                 if raw.dtype.kind in "mM":

@@ -22,7 +22,7 @@ from bayeq.errors import (
     require_texts,
 )
 from bayeq.records.columns import STAR, Columns, Headers, Names, Request, assemble
-from bayeq.records.formats import excel, format_of, gz, text, writers
+from bayeq.records.formats import excel, format_of, gz, parquet, text, writers
 from bayeq.records.formats.excel import without_sheet
 from bayeq.records.formats.nested import read_pieces
 from bayeq.records.record import Record
@@ -147,7 +147,7 @@ def read(
         Unit of each column, instead of those in the header; a number in front is a gain by which samples are
         multiplied: ``{"c1": "10 g"}`` for a channel written in units of 10 g, ``"10"`` to keep its unit.
     group : str, optional
-        A column that is constant within a trial: one record for each run of equal values.
+        A column that is constant within a trial, of numbers or words: one record for each run of equal values.
     columns : list of str, or str, optional
         Keep these channels only; other columns need not even be numbers.
     channels : mapping of str to str, optional
@@ -249,6 +249,8 @@ def _pieces(
     if row.flat is None:
         raise InputError(f"{path}: {row.title} cannot be read")
     options: dict[str, Any] = ({"skip": skip} if skip else {}) | ({"sheet": sheet} if sheet is not None else {})
+    if request.group is not None and row.flat in (text, gz, excel, parquet):  # whose columns may hold words
+        options["group"] = request.group
     if row.flat in (text, gz) and rows is not None and rows.stop is not None and rows.stop >= 0:
         options["enough"] = rows.stop
     return [(request, row.flat.read_columns(path, names=names, chosen=request.rows, **options))]

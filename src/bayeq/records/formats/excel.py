@@ -25,7 +25,14 @@ _WITH_SHEET = re.compile(r"(.+\.xls[xm]?)\[([^\[\]]+)\]", re.IGNORECASE)
 Sheet = tuple[str, Iterable[Iterable[Any]]]
 
 
-def read_columns(path: Path, *, names: Names = None, chosen: Select | None = None, sheet: str | None = None) -> Columns:
+def read_columns(
+    path: Path,
+    *,
+    names: Names = None,
+    chosen: Select | None = None,
+    sheet: str | None = None,
+    group: str | None = None,
+) -> Columns:
     """Read a sheet, by default the one with most rows of numbers, like delimited text; formulas give saved values."""
     where = str(path)
     titles: dict[str, int] = {}  # number of rows of numbers by sheet
@@ -44,7 +51,7 @@ def read_columns(path: Path, *, names: Names = None, chosen: Select | None = Non
             raise FileFormatError(
                 f"{where}: {'no sheet holds' if sheet is None else f'sheet {sheet!r} does not hold'} numbers"
             )
-        found = text.read_columns(plain, names=names, chosen=chosen, where=f"{where}, sheet {best!r}")
+        found = text.read_columns(plain, names=names, chosen=chosen, where=f"{where}, sheet {best!r}", group=group)
     others = [repr(title) for title, count in titles.items() if count and title != best]
     if not others:
         return found

@@ -19,7 +19,13 @@ _BYTES_AT_ONCE = 2**20
 
 
 def read_columns(
-    path: Path, *, names: Names = None, chosen: Select | None = None, skip: int = 0, enough: float = math.inf
+    path: Path,
+    *,
+    names: Names = None,
+    chosen: Select | None = None,
+    skip: int = 0,
+    enough: float = math.inf,
+    group: str | None = None,
 ) -> Columns:
     """Unpack into a temporary file, as far as the limits allow, and read that as text, below `skip` lines."""
     where = str(path)
@@ -32,7 +38,9 @@ def read_columns(
                 check_claim(where, "the text", written, stored)
                 out.write(block)
         try:
-            return text.read_columns(plain, names=names, chosen=chosen, where=where, skip=skip, enough=enough)
+            return text.read_columns(
+                plain, names=names, chosen=chosen, where=where, skip=skip, enough=enough, group=group
+            )
         except FileFormatError as error:
             if not encodings(plain):
                 raise FileFormatError(f"{where}: what it holds is not text; unpack it first") from error

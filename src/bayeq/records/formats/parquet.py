@@ -27,7 +27,7 @@ def library() -> tuple[Any, Any]:
     return pyarrow, pyarrow.parquet
 
 
-def read_columns(path: Path, *, names: Names = None, chosen: Select | None = None) -> Columns:
+def read_columns(path: Path, *, names: Names = None, chosen: Select | None = None, group: str | None = None) -> Columns:
     """Read the columns of a Parquet file; nulls become NaN, dates seconds since the first."""
     pa, pq = library()
     where = str(path)
@@ -38,7 +38,7 @@ def read_columns(path: Path, *, names: Names = None, chosen: Select | None = Non
         table = file.read()
     if table.num_columns == 0 or table.num_rows == 0:
         raise FileFormatError(f"{where}: no {'rows' if table.num_columns else 'columns'}")
-    return Columns.build(headers.renamed(names), lambda i: values_of(pa, table.column(i)), chosen)
+    return Columns.build(headers.renamed(names), lambda i: values_of(pa, table.column(i)), chosen, group)
 
 
 def headers_of(schema: Any, where: str) -> Headers:

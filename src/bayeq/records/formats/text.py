@@ -57,15 +57,16 @@ def read_columns(
     where: str = "",
     skip: int = 0,
     enough: float = math.inf,
+    group: str | None = None,
 ) -> Columns:
-    """Read the columns of a text file, which messages call `where`, below `skip` lines.
+    """Read the columns of a text file, which messages call `where`, below `skip` lines; words of `group` as numbers.
 
     Comment lines begin with ``#`` or ``%``; the one directly before the data names the columns if there is
     no other header and the number of its words fits. Empty cells, NA and nan become NaN. If a line cannot be read, the
     rows above it are returned if there are at least `enough`, or if only a footer follows.
     """
     where = where or str(path)
-    return decoded(path, where, lambda encoding: _read(path, where, encoding, names, chosen, skip, enough))
+    return decoded(path, where, lambda encoding: _read(path, where, encoding, names, chosen, skip, enough, group))
 
 
 def _named(layout: Layout, where: str) -> tuple[Headers, Sequence[Sequence[str]]]:
@@ -76,7 +77,14 @@ def _named(layout: Layout, where: str) -> tuple[Headers, Sequence[Sequence[str]]
 
 
 def _read(
-    path: Path, where: str, encoding: str, names: Names, chosen: Select | None, skip: int, enough: float
+    path: Path,
+    where: str,
+    encoding: str,
+    names: Names,
+    chosen: Select | None,
+    skip: int,
+    enough: float,
+    group: str | None,
 ) -> Columns:
     layout = sniff(path, encoding, where, skip)
     headers, readings = _named(layout, where)
@@ -93,10 +101,12 @@ def _read(
     except ValueError:
         # Columns that are not requested may hold anything; which these are is unknown if names depend on the data.
         skipped: set[int] = set()
+        labels = None
         if chosen is not None and (given is not None or not unnamed or not readings):
             named = headers if given is None else headers.renamed([*given, *[""] * (layout.width - len(given))])
             skipped = set(range(layout.width)) - set(chosen(named))
-        lines = _Lines(path, layout, headers, skipped)
+            labels = None if group is None else named.find(group)
+        lines = _Lines(path, layout, headers, skipped, labels)
         data = lines.read(enough)
         doubts, begins = lines.doubts, max((day + rest for day, rest in lines.first.values()), default=None)
         if lines.trailing and not headers.texts[-1] and layout.width > 1 and len(given or ()) != layout.width:
@@ -123,8 +133,12 @@ def _is_trial_and_time(data: Floats) -> bool:
 class _Lines:
     """The line-by-line reader: parses every cell and reports the first fault."""
 
-    def __init__(self, path: Path, layout: Layout, headers: Headers, skipped: Collection[int]) -> None:
+    def __init__(
+        self, path: Path, layout: Layout, headers: Headers, skipped: Collection[int], labels: int | None = None
+    ) -> None:
         self.path, self.layout, self.headers, self.skipped = path, layout, headers, skipped
+        self.labels = labels  # the column of the group, which may hold words
+        self.numbers: dict[str, str] = {}  # of its words, in their order
         self.where = headers.where
         self.trailing = True  # whether the last cell of every row is empty
         self.start = 0  # line of the first row
@@ -165,6 +179,8 @@ class _Lines:
             cells = fitted(cells, layout.width) or self._fit(cells, number)
         for column in layout.stamps:
             cells[column] = self._seconds(cells[column], number, column)
+        if self.labels is not None and (label := cells[self.labels].strip().strip("\"'")).lower() not in MISSING:
+            cells[self.labels] = self.numbers.setdefault(label, str(len(self.numbers)))
         try:
             if "_" in line:  # float() allows 1_000
                 raise ValueError
@@ -260,7 +276,8 @@ class _Lines:
         elif self.layout.header is not None:
             hint = "; if the column is not needed, name the columns to read"
         message = f"{self.where}, line {number}, column {name!r}: {shown} is not a number{hint}"
-        if self.layout.header is None or number > self.start or any(map(str.isdigit, cell)):
+        is_word = cell[:1].isalpha() or not any(map(str.isdigit, cell))
+        if self.layout.header is None or number > self.start or not is_word:
             return FileFormatError(message)
         names = self.headers.names
         return WordsError(message, name, [n for k, n in enumerate(names) if k not in {column, *self.skipped}])
