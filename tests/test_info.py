@@ -264,6 +264,18 @@ def test_coarse_held_and_equal_channels():
     assert found.copies == {"w": "v"}
 
 
+def test_steps_of_a_programme_are_not_sampled_slower():
+    t, x, _, _ = motion()
+    levels = np.random.default_rng(2).uniform(0.0, 100.0, 100)
+    held = {"slow": np.repeat(x[::5], 5), "even": np.repeat(levels, 40)}
+    lengths = 20 * np.tile([1, 3, 1, 1, 4], 20)
+    record = bq.Record({**held, "programme": np.repeat(levels, lengths)}, t)
+    assert [text for text in bq.info(record).findings if "rows only" in text] == [
+        "slow changes in every 5 rows only: it is sampled slower than the file",
+        "even changes in every 40 rows only: steps of a programme, or it is sampled slower than the file",
+    ]
+
+
 @settings(max_examples=draws(30), deadline=None)
 @given(st.floats(0.5, 40.0), st.integers(200, 3000))
 def test_the_strongest_frequency_and_the_bandwidth(frequency, n):

@@ -19,8 +19,12 @@ JUDGED = 20_000
 # A channel counts as coarse if its standard deviation is fewer levels than this.
 COARSE = 20.0
 
-# A channel is held, sampled more slowly than the record, if its median run of equal samples is at least this long.
+# A channel is held if its median run of equal samples is at least HELD rows. It then is sampled more slowly than the
+# record, unless it jumps as the steps of a programme do: the mean square of the jumps from run to run exceeds the
+# variance, as that of a motion does with fewer than 6 samples per period. If this share of the runs is not within a row
+# or a tenth of the median, they are steps, which last as long as they like; else it may be either.
 HELD = 1.9
+UNEVEN = 0.1
 
 # Share of the power that the bandwidth holds.
 SHARE = 0.99
@@ -61,6 +65,7 @@ class ChannelInfo:
     sd: float
     resolution: float | None  # distance of levels, if the channel is coarse
     held: float | None  # mean number of rows per sample, if the channel is sampled more slowly than the record
+    stepped: bool  # whether a held channel may also be the steps of a programme
     spectrum: Spectrum | None  # None without time, or for a constant channel
 
     @property
@@ -86,7 +91,7 @@ def _described(records: Sequence[Record], clocks: Sequence[_Clock], name: str) -
     least, greatest = float(values.min()), float(values.max())
     size = max(abs(least), abs(greatest)) or 1.0  # so that no square overflows
     scaled = values / size
-    resolution, held = _sampling(values[:JUDGED])
+    resolution, held, stepped = _sampling(values[:JUDGED])
     step = clocks[0][1]
     pieces = [piece for r, clock in zip(records, clocks, strict=True) for piece in _even_pieces(r[name], *clock)]
     return ChannelInfo(
@@ -99,22 +104,26 @@ def _described(records: Sequence[Record], clocks: Sequence[_Clock], name: str) -
         sd=0.0 if greatest == least else float(scaled.std()) * size,
         resolution=resolution,
         held=held,
+        stepped=stepped,
         spectrum=spectrum(pieces, step) if step else None,
     )
 
 
-def _sampling(values: Floats) -> tuple[float | None, float | None]:
-    """Distance of levels if the channel is coarse, and mean number of rows per sample if it is held; else None."""
+def _sampling(values: Floats) -> tuple[float | None, float | None, bool]:
+    """Distance of levels if the channel is coarse, mean number of rows per sample if it is held, whether in steps."""
     levels = np.unique(values)
     if len(levels) < 2:
-        return None, None
+        return None, None, False
     distance = float(np.diff(levels).min())
     coarse = len(levels) < 0.1 * len(values) and float(values.std()) < COARSE * distance
     # samples at rest, or at an extreme, are repeated without being held: the median run decides
-    lengths = equal_runs(values)[1]
+    starts, lengths = equal_runs(values)
     usual = float(np.median(lengths))
-    held = float(lengths.mean()) if usual >= HELD and not coarse else None
-    return (distance if coarse else None), held
+    jumps = float(np.mean(np.diff(values[starts]) ** 2)) > float(np.var(values[starts]))
+    uneven = float(np.mean(np.abs(lengths[1:-1] - usual) > max(1.0, 0.1 * usual))) if len(lengths) > 2 else 0.0
+    if coarse or usual < HELD or (jumps and uneven > UNEVEN):
+        return (distance if coarse else None), None, False
+    return None, float(lengths.mean()), jumps
 
 
 def _even_pieces(values: Floats, time: Floats | None, step: float | None, even: bool) -> list[Floats]:

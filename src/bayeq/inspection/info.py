@@ -410,7 +410,8 @@ def _on_channels(found: RecordInfo) -> Iterator[str]:
         if not channel.unit and any(file.lower().endswith(".wav") for file in found.reading.files):
             yield f"{name} has no unit: a WAV file holds shares of full scale; give both, as --units {name}=125mm/s"
         if channel.held is not None:
-            yield f"{name} changes in every {in_digits(channel.held)} rows only: it is sampled slower than the file"
+            how = "steps of a programme, or " * channel.stepped + "it is sampled slower than the file"
+            yield f"{name} changes in every {in_digits(channel.held)} rows only: {how}"
 
 
 def _listed(rows: Sequence[int]) -> str:
