@@ -95,6 +95,16 @@ def test_a_pendulum_has_the_stiffness_of_small_motion(sign, rest):
     assert found.unexplained == ("sin(x)",)
 
 
+@pytest.mark.parametrize(("moment", "span"), [(0.0, (-1200.0, 1900.0)), (3.0, (-300.0, 1500.0))])
+def test_a_pendulum_that_turns_over_rests_next_to_zero(moment, span):
+    coef = {"sin(pi*x/180)": -900.0, "v": -0.4}
+    constant = Constant(np.zeros(2), 900.0 * math.sin(math.radians(moment)))
+    drawn = replace(posterior(coef, 1e-6), constant=constant, n=1e30)
+    law = Law(parse_chain("x:v:a"), [parse(name) for name in coef], drawn)
+    found = physical_parameters(law, (), {"x": "deg"}, span=span)
+    assert found["x0"].mean == pytest.approx(math.radians(moment), abs=1e-5)
+
+
 def test_where_nothing_rests_that_is_said():
     coef = {"x": 5.0, "v": -0.1}
     law = Law(parse_chain("x:v:a"), [parse(name) for name in coef], posterior(coef, 1e-6))

@@ -496,10 +496,12 @@ def _about_rest(
     places = np.linspace(low, high, PLACES)
     mean = {term: np.asarray(values.mean()) for term, values in alone.items()}
     along = force(places, mean, np.asarray(constant.mean()))
-    stable = np.flatnonzero((along[:-1] > 0.0) & (along[1:] <= 0.0))
+    stable = places[np.flatnonzero((along[:-1] > 0.0) & (along[1:] <= 0.0))]
     if not len(stable):
         raise not_at_rest
-    nearest = places[stable[np.argmin(np.abs(places[stable] - 0.5 * (span[0] + span[1])))]]
+    # of those that were passed the one nearest to zero: a pendulum that turns over rests after every turn
+    passed = stable[(stable >= span[0]) & (stable <= span[1])]
+    nearest = min(passed, key=abs) if len(passed) else min(stable, key=lambda x: abs(x - 0.5 * (span[0] + span[1])))
     position, step = np.full(len(constant), nearest), STEP * width
 
     def slope(position: Floats, thetas: Mapping[Expression, Floats]) -> Floats:
