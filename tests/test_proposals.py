@@ -122,6 +122,26 @@ def test_accelerations_of_storeys_are_neighbours_and_may_be_absolute(unit) -> No
     assert "if Acc_3 is absolute, subtract Acc_ground first" in str(alone)
 
 
+def test_accelerations_that_follow_their_base_at_low_frequency_are_absolute(tmp_path) -> None:
+    t, (z, w), base = forced(lambda y, u: [y[1], -u - 2.0 * y[1] - 1500.0 * y[0]], [0.0, 0.0])
+    absolute = -2.0 * w - 1500.0 * z
+    record = noisy(t, base_acc=base, mass_acc=absolute)
+    found = bq.info(record)
+    read = "bq.discover(bq.remove_offset(record, 'mass_acc', 'base_acc'), acceleration='mass_acc', force='base_acc')"
+    assert found.proposal.python == read
+    assert any("mass_acc follows base_acc at low frequency" in note for note in found.proposal.notes)
+    bq.write(record, tmp_path / "run.csv")
+    part = bq.info(tmp_path / "run.csv", rows=slice(0, 2900)).proposal
+    assert "run.csv --remove-offset mass_acc=base_acc --rows 0:2900 --acc mass_acc" in str(part.command)
+    assert ".take(slice(0, 2900)), 'mass_acc', 'base_acc'), acceleration='mass_acc'" in part.python
+    # against the base, or from above the resonance on, it is not known
+    relative = bq.info(noisy(t, base_acc=base, mass_acc=absolute - base))
+    assert relative.proposal.python == "bq.discover(record, acceleration='mass_acc', force='base_acc')"
+    assert any("if mass_acc is absolute, subtract base_acc first" in note for note in relative.proposal.notes)
+    t, (z, w), base = forced(lambda y, u: [y[1], -u - 0.3 * y[1] - 2.0 * y[0]], [0.0, 0.0])
+    assert "remove_offset" not in bq.info(noisy(t, base_acc=base, mass_acc=-0.3 * w - 2.0 * z)).proposal.python
+
+
 @pytest.mark.parametrize("name", ["shaker_table_acc", "Tisch_Beschl", "acc_floor0", "platform_acc"])
 def test_a_base_above_the_resonance_is_no_reversed_acceleration(name) -> None:
     t, (x, v), ground = forced(lambda y, u: [y[1], -u - 0.7 * y[1] - 190.0 * y[0]], [0.0, 0.0], top=15.0)

@@ -46,6 +46,7 @@ class Reading:
     sheet: str | None = None
     clocked: bool = True  # whether there is time at all
     reversed: tuple[str, ...] = ()  # channels of the opposite sign
+    absolute: Mapping[str, str] = field(default_factory=dict)  # acceleration of the base, by absolute acceleration
     unnumbered: bool = False  # whether time starts over and no column numbers the experiments
 
 
@@ -322,6 +323,7 @@ def propose(
         return _roles(guess) + ([("--dictionary", "dictionary", dictionary)] if dictionary is not None else [])
 
     asked = asked_of(guess)
+    _say_absolute(guess, clues, reading.absolute, notes)
     _say_undecided(
         guess, clues, notes, lambda *chains: shlex.join(_words(asked_of(replace(guess, chains=chains)), paths))
     )
@@ -341,6 +343,7 @@ def _reading_options(reading: Reading) -> list[tuple[str, str]]:
     out = [(f"--{key}", value) for key in ("time", "names", "group") if (value := getattr(reading, key)) is not None]
     out += [("--units", ",".join(f"{name}={unit}" for name, unit in reading.units.items()))] if reading.units else []
     out += [("--scale", f"{name}=-1") for name in reading.reversed]
+    out += [("--remove-offset", f"{name}={base}") for name, base in reading.absolute.items()]
     out += [("--skip", str(reading.skip))] if reading.skip else []
     out += [("--sheet", reading.sheet)] if reading.sheet else []
     if reading.rows is not None:
@@ -399,14 +402,33 @@ def _dictionary(guess: Guess, clues: Mapping[str, Clue], rows: int, levels: Coll
     return None
 
 
+def absolute_or_not(guess: Guess, clues: Mapping[str, Clue]) -> tuple[list[str], str | None]:
+    """Accelerations that are all that is known of the motion, and that of the base that drives it, if there is one."""
+    accelerations = [chain[-1] for chain in guess.chains if chain[:-1] == (None, None) and chain[-1] is not None]
+    known = guess.inputs if len(accelerations) == len(guess.chains) else ()
+    return accelerations, next((name for name in known if clues[name].base == 2), None)
+
+
+def _say_absolute(guess: Guess, clues: Mapping[str, Clue], known: Mapping[str, str], notes: list[str]) -> None:
+    """Notes on accelerations beside that of their base; `known` are those that it is subtracted from."""
+    accelerations, base = absolute_or_not(guess, clues)
+    if base is None:
+        return
+    those, several = some_of(accelerations, 30), len(accelerations) > 1
+    if known:
+        notes.append(
+            f"{those} {'follow' if several else 'follows'} {base} at low frequency, as absolute accelerations do: it is"
+            " subtracted, as the law is of motion against the base"
+        )
+        return
+    how = " ".join(f"--remove-offset {shlex.quote(f'{name}={base}')}" for name in accelerations)
+    those += " are" if several else " is"
+    notes.append(f"the law is of motion against the base: if {those} absolute, subtract {base} first: {how}")
+
+
 def _say_undecided(guess: Guess, clues: Mapping[str, Clue], notes: list[str], options: Callable[..., str]) -> None:
     """Notes on questions and channels that are not used; `options` are those of the command with other chains."""
     notes += guess.questions
-    accelerations = [chain[-1] for chain in guess.chains if chain[:-1] == (None, None)]
-    for base in (name for name in guess.inputs if clues[name].base == 2 and len(accelerations) == len(guess.chains)):
-        those = some_of([str(name) for name in accelerations], 30) + (" are" if len(accelerations) > 1 else " is")
-        how = " ".join(f"--remove-offset {shlex.quote(f'{name}={base}')}" for name in accelerations)
-        notes.append(f"the law is of motion against the base: if {those} absolute, subtract {base} first: {how}")
     second = bool(guess.chains) and len(guess.chains[0]) == 3
     for name in (name for name in guess.undecided if name in guess.reasons):
         other = ""
@@ -426,8 +448,14 @@ def _say_undecided(guess: Guess, clues: Mapping[str, Clue], notes: list[str], op
 
 
 def _read_in_python(reading: Reading) -> str:
+    def changed(record: str) -> str:
+        record += "" if reading.rows is None else f".take(slice({reading.rows.start}, {reading.rows.stop}))"
+        for name, base in reading.absolute.items():
+            record = f"bq.remove_offset({record}, {name!r}, {base!r})"
+        return record
+
     if not reading.files:
-        return "record"
+        return changed("record")
     gains = {name: gain_and_unit(reading.units.get(name, "")) for name in reading.reversed}
     units = {name: f"{-gain:g} {unit or ''}".strip() for name, (gain, unit) in gains.items()}
     reading = replace(reading, units={**reading.units, **units})
@@ -436,8 +464,8 @@ def _read_in_python(reading: Reading) -> str:
     if not reading.clocked and reading.fs is None:
         options.append("fs=RATE")
     read = [f"bq.read({', '.join([repr(file), *options])})" for file in reading.files]
-    take = "" if reading.rows is None else f".take(slice({reading.rows.start}, {reading.rows.stop}))"
     if reading.group is not None:  # each is a list of trials
-        return " + ".join(f"[record{take} for record in {one}]" if take else one for one in read)
-    read = [one + take for one in read]
+        each = changed("record")
+        return " + ".join(one if each == "record" else f"[{each} for record in {one}]" for one in read)
+    read = [changed(one) for one in read]
     return read[0] if len(read) == 1 else f"[{', '.join(read)}]"

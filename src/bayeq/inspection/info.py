@@ -15,7 +15,7 @@ import numpy as np
 from bayeq.arrays import Floats
 from bayeq.errors import BayeqError, InputError, LengthsError, RecordError, WordsError, in_digits, some_of
 from bayeq.inspection.channels import ChannelInfo, describe_channels
-from bayeq.inspection.contents import Proposal, Reading, RecordInfo, propose
+from bayeq.inspection.contents import Proposal, Reading, RecordInfo, absolute_or_not, propose
 from bayeq.inspection.first_order import of_first_order
 from bayeq.inspection.links import (
     Link,
@@ -24,6 +24,7 @@ from bayeq.inspection.links import (
     drivers,
     find_links,
     first_order,
+    follow,
     rough_channels,
     short_record,
     twins,
@@ -206,6 +207,9 @@ def _described(experiments: Experiments, name: str, reading: Reading) -> RecordI
     # angles without a unit beyond -2 pi and 2 pi: in rad they would turn back and forth by whole turns
     whole = {key for key, one in channels.items() if one.least < -2.0 * math.pi and one.greatest > 2.0 * math.pi}
     turning = [key for key in moving if clues[key].angle and not channels[key].unit and key in whole]
+    accelerations, ground = absolute_or_not(guess, clues)
+    if ground is not None and follow(short, accelerations, ground):
+        reading = replace(reading, absolute=dict.fromkeys(accelerations, ground))
     units = {**reading.units, **dict.fromkeys(turning, "deg")}
     one_unit = dict(_in_one_unit(guess, channels, units))
     reading = replace(reading, units={**units, **one_unit})
@@ -323,13 +327,14 @@ def _checks(records: Sequence[Record], guess: Guess) -> list[Finding]:
 def proposal_for_all(found: Sequence[RecordInfo]) -> Proposal | None:
     """The command for all files; None for a single file, or if roles or options for reading differ."""
     first = found[0]
-    alike = [(one.guess.chains, one.guess.inputs, replace(one.reading, files=())) for one in found]
+    alike = [(one.guess.chains, one.guess.inputs, replace(one.reading, files=(), absolute={})) for one in found]
     if len(found) < 2 or any(one != alike[0] for one in alike):
         return None
     files = tuple(file for one in found for file in one.reading.files)
+    of_base = {name: base for one in found for name, base in one.reading.absolute.items()}
     rows = sum(one.rows for one in found)
     levels = _levels(first.channels).intersection(*(_levels(one.channels) for one in found))
-    return propose(first.guess, first.clues, replace(first.reading, files=files), rows, levels)
+    return propose(first.guess, first.clues, replace(first.reading, files=files, absolute=of_base), rows, levels)
 
 
 def copies_among(found: Sequence[RecordInfo]) -> list[str]:

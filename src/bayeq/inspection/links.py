@@ -65,6 +65,11 @@ DRIVES = 0.5
 # Correlation, at any lag, of two channels that may measure one motion.
 SAME = 0.98
 
+# Accelerations follow their base if the mean square of the difference is below FOLLOWS of their own in both halves of
+# the lowest octave in which the base has MOVED of its greatest power, from bin LEAST_BIN on, in a mean of SEGMENTS
+# spectra. FOLLOWS is the ratio at 0.7 of the resonance, for motion against the base its inverse.
+FOLLOWS, MOVED, LEAST_BIN, SEGMENTS = 0.25, 0.01, 3, 8
+
 # Length of the windows as a share of the period of the fastest state.
 WINDOW = 1 / 8
 
@@ -175,6 +180,33 @@ def absolute(
             if clearly and _nearest(both.gain, expected) < math.log(NEAR):
                 found[q] = p, base
     return found
+
+
+def follow(record: Record, accelerations: Sequence[str], base: str) -> bool:
+    """Whether accelerations follow that of their base at low frequency, as absolute ones do.
+
+    Well below the resonance there is little motion against the base: an absolute acceleration is that of the base, one
+    against the base is nearly zero. Near the resonance a narrow band may look like either, but not both halves of an
+    octave.
+    """
+    names, width = [base, *accelerations], 2 * record.n // (SEGMENTS + 1)
+    alike = all(record.units.get(name) == record.units.get(base) and _is_whole(record[name]) for name in names)
+    if not alike or uniform_frames(record.time) is None or width < LEAST_ROWS:
+        return False
+
+    def power(values: Floats) -> Floats:
+        pieces = np.stack([values[k * width // 2 :][:width] for k in range(SEGMENTS)])
+        spectra = np.fft.rfft(np.hanning(width) * (pieces - pieces.mean(axis=1, keepdims=True)))
+        return np.asarray((np.abs(spectra) ** 2).sum(axis=0))
+
+    strength = power(record[base])[LEAST_BIN:]
+    first = LEAST_BIN + int(np.argmax(strength > MOVED * strength.max()))
+    middle = math.ceil(math.sqrt(2.0) * first)
+    return all(
+        power(record[name] - record[base])[a:b].sum() < FOLLOWS * power(record[name])[a:b].sum()
+        for name in accelerations
+        for a, b in ((first, middle), (middle, 2 * first))
+    )
 
 
 def _is_whole(values: Floats) -> bool:
