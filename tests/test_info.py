@@ -713,6 +713,9 @@ def test_motions_from_rest_and_jumps_in_time_may_be_experiments():
     found = bq.info(bq.Record({"x": x}, time + 50.0 * (np.arange(len(x)) // 2000)))
     assert any("time jumps before rows 2001, 4001: perhaps 3 experiments" in one for one in found.findings)
     assert not any("experiments" in one for one in bq.info(duffing()).findings)
+    # a vibration that swells to and fro as it grows begins once
+    growing = np.exp(0.25 * t) * (1.0 + 0.3 * np.sin(1.5 * t)) * np.sin(30.0 * t)
+    assert not any("experiments" in one for one in bq.info(bq.Record({"x": growing}, t)).findings)
 
 
 @pytest.mark.parametrize("name", ["day", "Woche", "Jahr", "année", "Days", "test week"])

@@ -40,7 +40,7 @@ TRIAL_WORDS = ("trial", "run", "experiment", "exp", "test", "group", "segment", 
 LEAST_ROWS = 20
 
 # A channel rests in a stretch of one period if its standard deviation is below REST of the 90 % quantile over all
-# stretches; a motion lasts at least MOVES stretches.
+# stretches; a motion lasts at least MOVES stretches and exceeds twice that, unlike one that slowly grows or dies out.
 REST, MOVES = 0.05, 4
 
 # Minimum number of rows to judge that a column rises steadily.
@@ -186,9 +186,9 @@ def starts_from_rest(record: Record, names: Sequence[str], period: float) -> lis
         return []
     rows = record.n // width * width
     spreads = [values[:rows].reshape(-1, width).std(axis=1) for values in channels]
-    rests = np.all([spread < REST * np.quantile(spread, 0.9) for spread in spreads], axis=0)
-    starts, lengths = equal_runs(rests.astype(np.float64))
-    moves = [int(a) for a, n in zip(starts, lengths, strict=True) if not rests[a] and n >= MOVES]
+    most = np.max([spread / (REST * np.quantile(spread, 0.9)) for spread in spreads], axis=0)
+    starts, lengths = equal_runs(most < 1.0)
+    moves = [int(a) for a, n in zip(starts, lengths, strict=True) if n >= MOVES and most[a : a + n].max() >= 2.0]
     return [1 + width * start for start in moves[1:]]
 
 
