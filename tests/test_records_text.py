@@ -209,6 +209,8 @@ def test_a_group_may_hold_words(suffix, tmp_path):
         frame.to_csv(path, index=False)
         with pytest.raises(RecordError, match="the group is missing"):
             read(path, group="label")
+    with pytest.raises(FileFormatError, match="line 3, column 'g': 'l' is not a number"):  # for a 1
+        read(put(tmp_path, "g,x\n1,0\nl,1\n2,2\n"), group="g", fs=1)
 
 
 def test_suffixes(tmp_path: Path) -> None:

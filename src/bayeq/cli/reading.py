@@ -39,7 +39,7 @@ _OF_FILES = (
     opt.measured("--sheet", help="Sheet of an Excel file; by default that with most rows of numbers. FILE[SHEET] too."),
     opt.measured("--names", help="Column names, separated by commas, for a file without header."),
     opt.measured("--skip", type=int, default=0, help="Lines at the top of a text file that are passed over."),
-    opt.measured("--group", help="Column that numbers the trials within a file."),
+    opt.measured("--group", help="Column that numbers or names the trials within a file."),
     opt.altered("--rows", help="Rows that are used, A:B as in Python, of each record: 0:2000, 500:, :-100."),
 )
 _OTHERS = (

@@ -19,12 +19,11 @@ JUDGED = 20_000
 # A channel counts as coarse if its standard deviation is fewer levels than this.
 COARSE = 20.0
 
-# A channel is held if its median run of equal samples is at least HELD rows. It then is sampled more slowly than the
-# record, unless it jumps as the steps of a programme do: the mean square of the jumps from run to run exceeds the
-# variance, as that of a motion does with fewer than 6 samples per period. If this share of the runs is not within a row
-# or a tenth of the median, they are steps, which last as long as they like; else it may be either.
-HELD = 1.9
-UNEVEN = 0.1
+# A channel is held, sampled more slowly than the record, if its median run of equal samples is at least HELD rows. If
+# the mean square of its changes from run to run exceeds its variance, as of a motion with fewer than 6 samples per
+# period, it may also be steps of a programme. It surely is, and is not held, if more than the share UNEVEN of the runs
+# differ from the median by more than a row and a tenth of it: steps last as long as they like.
+HELD, UNEVEN = 1.9, 0.1
 
 # Share of the power that the bandwidth holds.
 SHARE = 0.99

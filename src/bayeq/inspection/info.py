@@ -44,7 +44,6 @@ CHECKED = 40_000
 
 # Maximum number of bad rows that are listed.
 LISTED = 3
-LEFT_OUT = "holds words, not numbers: left out"
 
 
 def info(
@@ -119,7 +118,8 @@ def _numbers(path: Path, how: dict[str, Any]) -> tuple[Experiments, list[str]]:
             found = _opened(path, how)
             by_words = (_by_words(path, how, found, name) for name in words if how["group"] is None)
             found = next((one for one in by_words if one is not None), found)
-            return found, [*(f"{name} {LEFT_OUT}" for name in words if name != found.column), *remarks]
+            left = [f"{name} holds words, not numbers: left out" for name in words if name != found.column]
+            return found, left + remarks
         except WordsError as error:
             how["columns"] = [name for name in error.others if name not in words]
             if how["names"] or how["channels"] or not how["columns"] or error.column in (how["time"], how["group"]):

@@ -130,6 +130,13 @@ def _is_trial_and_time(data: Floats) -> bool:
     return bool(np.all(trial == np.round(trial)) and np.all(np.diff(time)[same] > 0))
 
 
+def _is_number(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
+
+
 class _Lines:
     """The line-by-line reader: parses every cell and reports the first fault."""
 
@@ -137,7 +144,7 @@ class _Lines:
         self, path: Path, layout: Layout, headers: Headers, skipped: Collection[int], labels: int | None = None
     ) -> None:
         self.path, self.layout, self.headers, self.skipped = path, layout, headers, skipped
-        self.labels = labels  # the column of the group, which may hold words
+        self.labels = labels  # the column of the group, if it begins with a word
         self.numbers: dict[str, str] = {}  # of its words, in their order
         self.where = headers.where
         self.trailing = True  # whether the last cell of every row is empty
@@ -180,7 +187,10 @@ class _Lines:
         for column in layout.stamps:
             cells[column] = self._seconds(cells[column], number, column)
         if self.labels is not None and (label := cells[self.labels].strip().strip("\"'")).lower() not in MISSING:
-            cells[self.labels] = self.numbers.setdefault(label, str(len(self.numbers)))
+            if not self.numbers and _is_number(label):
+                self.labels = None
+            else:
+                cells[self.labels] = self.numbers.setdefault(label, str(len(self.numbers)))
         try:
             if "_" in line:  # float() allows 1_000
                 raise ValueError
