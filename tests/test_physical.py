@@ -95,6 +95,16 @@ def test_a_pendulum_has_the_stiffness_of_small_motion(sign, rest):
     assert found.unexplained == ("sin(x)",)
 
 
+@pytest.mark.parametrize(("pip", "said"), [(1.0, ""), (0.8, ", in doubt")])
+def test_a_stiffness_is_in_doubt_if_its_terms_are(pip, said):
+    coef = {"x": 0.0, "sin(x)": -9.81, "v": -0.1}
+    kept = {"covariance": 1e-12 * np.eye(2), "support": np.array([False, True, True])}
+    drawn = replace(posterior(coef, 1e-6), pip=np.array([0.01, pip, 1.0]), **kept)
+    law = Law(parse_chain("x:v:a"), [parse(name) for name in coef], drawn)
+    found = physical_parameters(law, (), {"x": "rad"}, span=(-0.5, 0.4))
+    assert found["k/m"].meaning == f"stiffness per unit of inertia{said}"
+
+
 @pytest.mark.parametrize(("moment", "span"), [(0.0, (-1200.0, 1900.0)), (3.0, (-300.0, 1500.0))])
 def test_a_pendulum_that_turns_over_rests_next_to_zero(moment, span):
     coef = {"sin(pi*x/180)": -900.0, "v": -0.4}

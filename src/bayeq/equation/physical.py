@@ -197,7 +197,12 @@ def physical_parameters(
     if weight is not None:
         quantities.append(quantity("m", inertia, weight, system.mass()))
     per, each = ("", "") if weight is not None else ("/m", f" per unit of {'inertia' if system.turns else 'mass'}")
-    doubtful = {term.text for term, pip in zip(law.terms, law.posterior.pip.tolist(), strict=True) if pip < CERTAIN}
+    kept = compress(zip(law.terms, law.posterior.pip.tolist(), strict=True), law.posterior.support)
+    unsure = [term for term, pip in kept if pip < CERTAIN]
+    doubtful = {term.text for term in unsure}
+    x, v = law.chain.states
+    if any(term.names == {x} and _powers(term.tree, x, v) is None for term in unsure):  # its slope is a stiffness
+        doubtful.add(x)
     for f in forces:
         values, meaning = -theta[f.symbol] * (1.0 if weight is None else weight), f.meaning + each
         meaning += ", in doubt" if f.term in doubtful else ""
