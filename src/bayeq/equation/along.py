@@ -92,6 +92,7 @@ def free_run(eq: Answer, record: Record, *, interpolation: Interpolation | None 
         eq.data.sensors,
         interpolation=_between(eq, interpolation),
         units=eq.units,
+        noise=eq.data.noise_sd,
         **how,
     )
 

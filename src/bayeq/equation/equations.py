@@ -180,7 +180,8 @@ class Equations(Answer):
         draws, seed : int
             Number of runs for the bands, 0 for none, and seed: intercepts and coefficients are drawn from their normal
             posterior given the terms shown, and a random force acts on each target, with the size and the spectrum of
-            its discrepancy where that is known. The initial state is the same for all.
+            its discrepancy where that is known. If the record has samples of the motion and `initial` is not given,
+            the start is drawn within its error, and noise is added to inputs as far as `discover` has learned it.
         start, rows : int
             First row, and how many; by default all that follow.
         interpolation : "cubic", "linear", "hold" or "band-limited", optional

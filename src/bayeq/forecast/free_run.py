@@ -15,7 +15,7 @@ from bayeq.errors import InputError, UnknownNameError, in_digits, whole_number
 from bayeq.expressions.parse import EARLIER
 from bayeq.figures.runs import draw_forecasts
 from bayeq.figures.style import joined, write_output
-from bayeq.forecast.dynamics import Dynamics, finest_step
+from bayeq.forecast.dynamics import Dynamics, finest_step, normal_draws
 from bayeq.forecast.rows import Courses, Rows, between, normalised_error, require_time, rows_of, window_of
 from bayeq.inference.posterior import Projected
 from bayeq.numerics.rk4 import Drive, check_interpolation, free_runs, interpolant, shoot
@@ -35,6 +35,8 @@ MOST_DRAWN = 6
 class Forecast:
     """A free run, and the band of runs with coefficients from their posterior and random forces for the model error.
 
+    Where the record has samples of the motion, the band counts the noise of inputs and the error of the start too.
+
     Attributes
     ----------
     time : (n,) array
@@ -44,7 +46,7 @@ class Forecast:
     low, high : mapping of str to (n,) array
         Pointwise 95 % band of the draws; infinite where more than 2.5 % of them have blown up. Empty without draws.
     draws : int
-        Runs with drawn coefficients and forces.
+        Runs with drawn coefficients and forces, and noise of inputs and starts as far as it counts.
     blown : int
         How many of them blew up.
     blew_up_at : float or None
@@ -121,6 +123,7 @@ def forecast(
     rows: int | None = None,
     interpolation: Courses,
     units: Mapping[str, str],
+    noise: Mapping[str, float],  # standard deviations of inputs' noise, as far as they are known
 ) -> Forecast:
     """Free run over rows of a record; see `bayeq.Equations.simulate`."""
     check_interpolation(interpolation)
@@ -134,7 +137,7 @@ def forecast(
     whole = all(np.isfinite(record[name]).all() for name in roles.inputs)
     source = record if whole else part
     inputs = between(roles, require_time(source, "a free run"), source.channels, interpolation)
-    first, low, high = _beginning(dynamics, raw, smooth, sensors, interpolation, window, initial)
+    first, error, low, high = _beginning(dynamics, raw, smooth, sensors, interpolation, window, initial)
     driven = Drive.over(time[window], inputs[window] if whole else inputs, low, high)
     mean, stopped, drive = mean_run(dynamics, dynamics.mean, first, driven)
 
@@ -151,7 +154,10 @@ def forecast(
             if law.posterior.projected and law.posterior.error_lines
         ]
         forced = Dynamics.of(laws, roles, dynamics.intercepts, forced=True)
-        below, above, blown = run_bands(forced, drawn, first, drive, forces)
+        # inputs of a record without the motion are those of a plan
+        sd = np.array([noise.get(name, 0.0) if error is not None else 0.0 for name in roles.inputs])
+        starts = np.tile(first, (draws, 1)) if error is None else normal_draws(first, error, draws, rng)
+        below, above, blown = run_bands(forced, drawn, starts, drive, forces, sd, rng)
     run = by_state(mean)
     measured = {name: part[name] for name in run if name in part.channels}
     return Forecast(
@@ -177,8 +183,8 @@ def _beginning(
     interpolation: Courses,
     window: slice,
     initial: Mapping[str, float] | None,
-) -> tuple[Floats, Floats, Floats]:
-    """Initial state, and lowest and highest state within which runs continue, (d,) each."""
+) -> tuple[Floats, Floats | None, Floats, Floats]:
+    """Initial state, its covariance if the run was fitted, and lowest and highest state within which runs continue."""
     if initial is not None and not hasattr(initial, "items"):
         names = ", ".join(f"{name!r}: ..." for name in dynamics.states)
         raise InputError(f"initial: states go by their names, initial={{{names}}}")
@@ -214,10 +220,11 @@ def _beginning(
     # a start far from what was measured is the caller's wish
     margin = GENEROUS * np.abs(start)
     low, high = np.minimum(low, start - margin), np.maximum(high, start + margin)
+    error = None
     if rows is not None and not given:
         part = rows.part(slice(row, rows.nearest(times[window.stop - 1]) + 1))
-        start = fitted_start(dynamics, dynamics.mean, part, low, high)
-    return start, low, high
+        start, error = fitted_start(dynamics, dynamics.mean, part, low, high)
+    return start, error, low, high
 
 
 def write_forecasts(file: Path, runs: Sequence[tuple[str, Forecast]]) -> None:
@@ -300,12 +307,15 @@ def typical_period(dynamics: Dynamics, pieces: Sequence[Rows]) -> float:
     return min(periods)
 
 
-def fitted_start(dynamics: Dynamics, parameters: Floats, rows: Rows, low: Floats, high: Floats) -> Floats:
-    """The initial state (d,) with which a free run follows the first period of some rows best.
+def fitted_start(
+    dynamics: Dynamics, parameters: Floats, rows: Rows, low: Floats, high: Floats
+) -> tuple[Floats, Floats | None]:
+    """The initial state (d,) with which a free run follows the first period of some rows best, and its covariance.
 
     A state read off at the first row carries that row's noise, and the run keeps the error. It is therefore estimated
     from the samples of the first period (as output-error methods do; Ljung, System Identification, 1999, section 16.3),
-    with the state that was read off as a weak prior; that state is returned if no other one fits better.
+    with the state that was read off as a weak prior; that state is returned, without a covariance, if no run from it
+    can be compared.
     Runs go on from `low` to `high`, (d,) each; parameters are (p,).
     """
     whole = rows.stack(dynamics.states)
@@ -313,7 +323,7 @@ def fitted_start(dynamics: Dynamics, parameters: Floats, rows: Rows, low: Floats
     scale = np.where(spread > 0, spread, 1.0)
     known = np.array([i for i, name in enumerate(dynamics.states) if name in rows.samples], dtype=np.uint32)
     if rows.n < LEAST_ROWS or not len(known):
-        return first
+        return first, None
     drive = rows.drive(low, high)
     n = int(min(max(typical_period(dynamics, [rows]) / drive.step, LEAST_ROWS), rows.n))
     chosen = np.column_stack([rows.samples[dynamics.states[i]][:n] for i in known])
@@ -344,7 +354,7 @@ def fitted_start(dynamics: Dynamics, parameters: Floats, rows: Rows, low: Floats
     best, found = first, errors(first)
     for _ in range(MOST_STEPS):
         if found is None:
-            return first
+            return first, None
         left, slopes = found
         change = np.linalg.lstsq(slopes, left)[0]
         trial = errors(best + change)
@@ -353,20 +363,29 @@ def fitted_start(dynamics: Dynamics, parameters: Floats, rows: Rows, low: Floats
         best, found = best + change, trial
         if (np.abs(change) <= ENOUGH * scale).all():
             break
-    return best
+    assert found is not None
+    left, slopes = found
+    return best, np.linalg.pinv(slopes.T @ slopes) * float(left @ left) / np.count_nonzero(np.isfinite(chosen))
 
 
 def run_bands(
-    dynamics: Dynamics, parameters: Floats, first: Floats, drive: Drive, forces: Sequence[Floats] = ()
+    dynamics: Dynamics,
+    parameters: Floats,
+    starts: Floats,
+    drive: Drive,
+    forces: Sequence[Floats],
+    noise: Floats,
+    rng: np.random.Generator,
 ) -> tuple[Floats, Floats, int]:
-    """Pointwise 95 % band of runs with different parameters (runs, p), and under different forces.
+    """Pointwise 95 % band of runs with different parameters (runs, p) and starts (runs, d), under different forces.
 
-    `forces` are arrays (runs, M, 3) from `drawn_sines`, one for each force of `dynamics`; the rest is as for
-    `mean_run`, but with the step of `drive`. Returns low and high, (n, d) each, infinite where more than 2.5 % of the
-    runs have left the range, and the number of runs that left it.
+    `forces` are arrays (runs, M, 3) from `drawn_sines`, one for each force of `dynamics`; `noise` (m,) are standard
+    deviations of white noise that is drawn for each input. Integrated with the step of `drive`. Returns low and high,
+    (n, d) each, infinite where more than 2.5 % of the runs have left the range, and the number of runs that left it.
     """
-    runs, n, d = len(parameters), len(drive.inputs), len(first)
-    current, stopped = np.tile(first, (runs, 1)), np.zeros(runs, dtype=np.uint32)
+    (runs, d), n, noisy = starts.shape, len(drive.inputs), np.flatnonzero(noise)
+    current, stopped = starts.copy(), np.zeros(runs, dtype=np.uint32)
+    latest = noise[noisy] * rng.standard_normal((runs, len(noisy)))
     bottom, top = np.empty((n, d)), np.empty((n, d))
     time = np.append(0.0, np.cumsum(drive.intervals))
     below, above = math.floor(TAIL * (runs - 1)), math.ceil((1.0 - TAIL) * (runs - 1))
@@ -377,6 +396,13 @@ def run_bands(
         program, part = dynamics.program(), drive.part(row, end)
         for one in (slice(run, run + 1) for run in range(runs)):
             driven = pushed(part, time[row:end], [sines[one.start] for sines in forces])
+            if len(noisy):
+                drawn = noise[noisy] * rng.standard_normal((end - row - 1, len(noisy)))
+                errors = np.concatenate([latest[one], drawn])
+                latest[one] = errors[-1]
+                inputs = driven.inputs if forces else driven.inputs.copy()
+                inputs[:, noisy] += interpolant(time[row:end], errors, "linear")
+                driven = driven._replace(inputs=inputs)
             free_runs(program, driven, parameters[one], current[one], stopped[one], out[one])
         # a run that blew up may be anywhere
         gone = np.isnan(out)

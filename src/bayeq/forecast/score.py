@@ -81,7 +81,7 @@ def score_rows(dynamics: Dynamics, parameters: Floats, pieces: Sequence[Rows], m
     moving = pieces if dynamics.states else []
     limits = state_range(np.concatenate([rows.stack(dynamics.states) for rows in motion or pieces]))
     for rows in moving:
-        first = fitted_start(dynamics, parameters, rows, *limits)
+        first, _ = fitted_start(dynamics, parameters, rows, *limits)
         run, stopped, _ = mean_run(dynamics, parameters, first, rows.drive(*limits))
         runs.append(run)
         if stopped is not None and blew_up_at is None:
