@@ -262,6 +262,24 @@ def test_a_split_is_scored_after_its_first_rows(halves, capsys):
     assert capsys.readouterr().out == printed
 
 
+def test_a_test_in_other_units_is_scored_in_those_of_the_equations(halves, tmp_path, capsys):
+    _, test, saved = halves
+    record = bq.read(test)
+    channels = {name: record[name] * (1e3 if name == "x" else 1.0) for name in record.names}
+    for unit, file in (("mm", "header.csv"), ("m", "wrong.csv")):
+        bq.write(bq.Record(channels, record.time, {**record.units, "x": unit}), tmp_path / file)
+    assert main(["benchmark", "--train", saved, "--test", test, "--json"]) == 0
+    expected = json.loads(capsys.readouterr().out)["tests"]
+    for words in (["header.csv"], ["wrong.csv", "--units", "x=mm"]):
+        assert main(["benchmark", "--train", saved, "--test", str(tmp_path / words[0]), *words[1:], "--json"]) == 0
+        out, err = capsys.readouterr()
+        for found, one in zip(json.loads(out)["tests"], expected, strict=True):
+            assert (found["channel"], found["unit"]) == (one["channel"], one["unit"])
+            assert found["rmse"] == pytest.approx(one["rmse"], rel=1e-6)
+            assert found["nrmse"] == pytest.approx(one["nrmse"], rel=1e-6)
+        assert "bayeq: warning: x was converted from mm to m" in err.splitlines()
+
+
 def test_rows_after_those_skipped_are_not_looked_at(halves):
     from bayeq.equation.applied import test_errors as errors_of
 

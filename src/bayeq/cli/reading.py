@@ -95,7 +95,7 @@ class Reading:
             given["names"] = [name.strip() for name in given["names"].split(",")]
         for name in ("time", "group"):
             given[name] = opt.path_of(given[name])
-        given["units"] = _units(given["units"], options.pop("scales"))
+        given["units"] = units_of(given["units"], options.pop("scales"))
         given["rows"] = _rows(given["rows"])
         given["offsets"] = _offsets(given.get("offsets", ()))
         return cls(**given)
@@ -199,7 +199,7 @@ class Reading:
         return records
 
 
-def _units(texts: Sequence[str], scales: Sequence[str]) -> dict[str, str]:
+def units_of(texts: Sequence[str], scales: Sequence[str] = ()) -> dict[str, str]:
     """Units by channel, from ``x=mm,a=g``, and gains in front of them, from ``a=10``."""
     from bayeq.records.names import gain_and_unit, require_unit
 

@@ -13,7 +13,7 @@ import click
 
 from bayeq.cli import options as opt
 from bayeq.cli.outputs import require_output, show_equations
-from bayeq.cli.reading import Reading, plain_files, reading_options
+from bayeq.cli.reading import Reading, plain_files, reading_options, units_of
 from bayeq.cli.terminal import Progress
 from bayeq.errors import DataWarning, InputError, UnknownNameError
 
@@ -164,6 +164,7 @@ def paths_of(texts: Sequence[str], names: Sequence[str]) -> dict[str, str]:
 )
 @opt.measured("--time", help="Time column [s] of all files.")
 @opt.measured("--fs", type=float, help="Sampling frequency [Hz], where there is no time column.")
+@opt.measured("--units", multiple=True, help="Units of channels instead of those in the files, x=mm,a=g.")
 @opt.in_terms("--dictionary", default="oscillator", help="Candidate terms, as for bayeq discover.")
 @opt.in_terms("--law", "laws", multiple=True, help="Rate of a hidden state, as for bayeq discover. Once per state.")
 @opt.json_option(group=opt.WRITTEN)
@@ -177,6 +178,7 @@ def benchmark(
     channels: tuple[str, ...],
     time: str | None,
     fs: float | None,
+    units: tuple[str, ...],
     dictionary: str,
     laws: tuple[str, ...],
     as_json: bool,
@@ -188,7 +190,7 @@ def benchmark(
     nonlinearbenchmark.org. All rows of the training record are used. Equations with other options: bayeq discover
     --holdout 0 --save EQ.json, and --train EQ.json.
     """
-    reading = Reading(time=opt.path_of(time), fs=fs)
+    reading = Reading(time=opt.path_of(time), fs=fs, units=units_of(units))
     if train.suffix == ".json" and (chains or inputs):
         raise InputError("--train: saved equations know their channels; leave out --chain and --input")
     if train.suffix != ".json" and not chains:
@@ -217,6 +219,8 @@ def benchmark(
         from bayeq.equation.applied import test_errors
 
         errors = test_errors(found, others, skip)
+    for note in dict.fromkeys(note for one in errors for note in one.notes):
+        warnings.warn(note, DataWarning, stacklevel=1)
     if as_json:
         answer = {"equations": [eq.text for eq in found], "verdict": found.verdict.kind}
         click.echo(json.dumps(answer | {"tests": [asdict(one) for one in errors]}))

@@ -280,6 +280,7 @@ class TestError:
     rmse: float  # root mean squared error in the unit of the channel; infinite of a run that blew up
     nrmse: float  # the same over the standard deviation of the channel in these rows
     unit: str | None  # unit of the channel
+    notes: tuple[str, ...]  # units converted or assumed
 
     def __str__(self) -> str:
         unit = f" {self.unit}" if self.unit not in (None, "1") else ""
@@ -294,7 +295,8 @@ def test_errors(equations: Equations, records: Sequence[Record], skip: int) -> l
     """Errors of free runs over records that the equations were not found from, one for each record and measured state.
 
     Each run is driven by the inputs alone, and begins in the state with which it follows the first `skip` rows best.
-    InputError for fewer rows than 10 before or 2 after, or a channel that is missing.
+    Errors are in the units of the equations. InputError for fewer rows than 10 before or 2 after, a channel that is
+    missing, or a unit that cannot be converted.
     """
     out: list[TestError] = []
     for number, record in enumerate(records):
@@ -304,6 +306,7 @@ def test_errors(equations: Equations, records: Sequence[Record], skip: int) -> l
                 f"{name}: the initial state is estimated from the rows that are skipped: skip at least {LEAST_SKIPPED}"
                 f" of its {record.n} rows, and leave some; got {skip}"
             )
+        record, notes = as_equations_have_them(equations, record)
         begin = equations.simulate(record.slice(0, skip), draws=0)
         start = {state: float(values[0]) for state, values in begin.mean.items()}
         inputs = {channel: record[channel] for channel in equations.inputs}
@@ -319,5 +322,6 @@ def test_errors(equations: Equations, records: Sequence[Record], skip: int) -> l
                 rmse = float(np.sqrt(np.mean((found[skip:] - measured)[there] ** 2)))
             sd = float(np.std(measured[there]))
             nrmse = rmse / sd if sd > 0.0 else math.inf
-            out.append(TestError(name, state, skip, int(there.sum()), rmse, nrmse, record.units.get(state)))
+            unit = run.units.get(state, record.units.get(state))
+            out.append(TestError(name, state, skip, int(there.sum()), rmse, nrmse, unit, tuple(notes)))
     return out
