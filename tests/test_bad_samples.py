@@ -218,6 +218,10 @@ def test_free_decays_and_rest_are_no_bad_samples(system, chain):
         assert found(bq.Record(coarse, record.time), roles(chain)) == {}
 
 
+def test_a_channel_without_samples_has_no_bad_ones(duffing):
+    assert found(changed(duffing, "u", slice(None), np.nan)) == {}
+
+
 def test_short_records_and_rows_without_time_are_left_alone(duffing):
     spoiled = changed(duffing, "x", 20, 1.0)
     assert found(spoiled.slice(0, 39)) == {}

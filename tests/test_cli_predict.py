@@ -178,6 +178,23 @@ def test_bad_input_is_one_line(folder, monkeypatch, capsys, arguments, part):
     assert part in said[0]
 
 
+@pytest.mark.parametrize("empty", ["u", "x", "a"])
+def test_a_channel_without_samples_is_named(folder, tmp_path, capsys, empty):
+    record = bq.read(folder / "second.npz")
+    columns = {name: np.full(record.n, np.nan) if name == empty else record[name] for name in record.names}
+    bq.write(bq.Record(columns, record.time), tmp_path / "gone.csv")
+    named = f"channel '{empty}' has no samples"
+    code, out, said = run(capsys, "predict", folder / "eq.json", tmp_path / "gone.csv")
+    assert (code, out, len(said)) == (2, "", 1)
+    assert said[0].startswith(f"bayeq: error: gone.csv: {named}")
+    equations, bad = bq.load(folder / "eq.json"), bq.read(tmp_path / "gone.csv")
+    for apply in (equations.predict, equations.simulate, equations.score):
+        with pytest.raises(bq.errors.RecordError, match=named):
+            apply(bad)
+    with pytest.raises(bq.errors.RecordError, match=f"^gone.csv: {named}"):
+        bq.discover([record, bad], chains=["x:v:a"], inputs=["u"], dictionary="x, v, u")
+
+
 def test_a_channel_that_the_file_lacks(folder, tmp_path, capsys):
     record = bq.read(folder / "second.npz")
     bq.write(bq.Record({"x": record["x"], "u": record["u"]}, record.time), tmp_path / "few.csv")

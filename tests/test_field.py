@@ -280,6 +280,15 @@ def test_a_test_in_other_units_is_scored_in_those_of_the_equations(halves, tmp_p
         assert "bayeq: warning: x was converted from mm to m" in err.splitlines()
 
 
+def test_a_force_that_begins_after_the_rows_skipped(halves, tmp_path, capsys):
+    _, test, saved = halves
+    record = bq.read(test)
+    late = record.with_channels({"u": np.where(np.arange(record.n) < 60, np.nan, record["u"])})
+    bq.write(late, tmp_path / "late.csv")
+    assert main(["benchmark", "--train", saved, "--test", str(tmp_path / "late.csv")]) == 2
+    assert "late.csv, rows 1 to 50: channel 'u' has no samples" in capsys.readouterr().err
+
+
 def test_rows_after_those_skipped_are_not_looked_at(halves):
     from bayeq.equation.applied import test_errors as errors_of
 

@@ -53,7 +53,7 @@ from bayeq.regression.regression import regressions_of
 from bayeq.resumable import Progress
 from bayeq.states import Motion, Roles, Smooth, Tails, corrected, estimate_motion, known_sensors, measured_apart
 from bayeq.states.bad_samples import Learned, clipped_shares
-from bayeq.states.derive import require_in_range, require_steps, require_varying
+from bayeq.states.derive import require_in_range, require_samples, require_steps, require_varying
 from bayeq.states.motion import cut_at, held_out_share
 from bayeq.states.prepare import bridged_record, cleaned, divided_at_gaps, in_samples, require_enough, without_hum
 from bayeq.states.rest import without_rest
@@ -461,6 +461,8 @@ def _prepared(
 ) -> tuple[list[Record], Roles, float]:
     """Records without bad samples, divided at gaps; roles without channels computed from others; share to hold out."""
     share = held_out_share(holdout, sum(record.n for record in records))
+    if learned is None:  # a stretch of a long record may lack a channel
+        require_samples(records, roles.channels, "leave the channel or the record out")
     require_varying(records, roles.channels)
     require_steps(records)
     records, messages = cleaned(records, roles, smooth, learned)

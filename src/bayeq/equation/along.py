@@ -21,6 +21,7 @@ from bayeq.numerics.rk4 import Interpolation, check_interpolation
 from bayeq.records import Record
 from bayeq.records.record import in_units
 from bayeq.states import Roles, Sensors, Smooth, estimate_motion
+from bayeq.states.derive import require_samples
 from bayeq.states.prepare import cleaned, divided_at_gaps, has_all
 
 Found = TypeVar("Found", bound=Answer)
@@ -32,9 +33,11 @@ LAST = 0.2
 def prepared(eq: Answer, records: Sequence[Record], divide: bool = False, level: int = 3) -> list[Record]:
     """The records with NaN in place of bad samples and, with `divide`, divided at long gaps.
 
-    Warns (DataWarning, stack level `level`) about bad samples and gaps that `discover` has not reported before.
+    Warns (DataWarning, stack level `level`) about bad samples and gaps that `discover` has not reported before. A
+    RecordError names a channel without any sample.
     """
     roles = _without_targets(eq.roles.seen, records)
+    require_samples(records, roles.channels, "give rows that have some, as the equations need it")
     found, messages = cleaned(records, roles, eq.smooth)
     if divide:
         found, more = divided_at_gaps(found, roles, eq.smooth)

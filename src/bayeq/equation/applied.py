@@ -307,7 +307,8 @@ def test_errors(equations: Equations, records: Sequence[Record], skip: int) -> l
                 f" of its {record.n} rows, and leave some; got {skip}"
             )
         record, notes = as_equations_have_them(equations, record)
-        begin = equations.simulate(record.slice(0, skip), draws=0)
+        first = replace(record.slice(0, skip), name=f"{name}, rows 1 to {skip}")
+        begin = equations.simulate(first, draws=0)
         start = {state: float(values[0]) for state, values in begin.mean.items()}
         inputs = {channel: record[channel] for channel in equations.inputs}
         units = {channel: unit for channel, unit in record.units.items() if channel in inputs}

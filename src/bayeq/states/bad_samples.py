@@ -265,7 +265,7 @@ def _keep_answered(inputs: Sequence[_Group], chains: Sequence[_Group]) -> None:
                 chain.spikes[i][_wider(blows), -1] = False
             places = _places(np.flatnonzero(spikes[:, 0]), ANSWER)
             # a force that a window made zero between blows has no other samples
-            few = len(places) < LEAST_BLOWS and np.ptp(quiet) > 0.0
+            few = len(places) < LEAST_BLOWS and (not places or np.ptp(quiet) > 0.0)
             unseen = not seen and not few and _is_noise(quiet)
             for place in places:
                 if unseen or answered[place].any():

@@ -74,6 +74,14 @@ def usable(values: Floats) -> bool:
     return bool(values.max() - values.min() >= 1 / LARGEST)
 
 
+def require_samples(records: Sequence[Record], names: Sequence[str], advice: str) -> None:
+    """Raise a RecordError, with advice, for a channel of which a record has no sample."""
+    for record in records:
+        for name in names:
+            if np.isnan(record[name]).all():
+                raise RecordError(f"{record.label}: channel {name!r} has no samples: every one is missing; {advice}")
+
+
 def require_varying(records: Sequence[Record], names: Sequence[str]) -> None:
     """Raise unless each channel varies, though not in every record: in a free decay the force is zero throughout.
 
