@@ -195,6 +195,20 @@ def test_a_channel_without_samples_is_named(folder, tmp_path, capsys, empty):
         bq.discover([record, bad], chains=["x:v:a"], inputs=["u"], dictionary="x, v, u")
 
 
+def test_a_record_at_rest_says_nothing(folder, tmp_path, capsys):
+    record = bq.read(folder / "second.npz")
+    rest = record.with_channels({name: np.zeros(record.n) for name in record.names})
+    bq.write(rest, tmp_path / "rest.csv")
+    predicted, benchmark = ("predict", folder / "eq.json"), ("benchmark", "--train", folder / "eq.json", "--test")
+    for command, rows in ((predicted, 1200), (benchmark, 1150)):
+        code, out, said = run(capsys, *command, tmp_path / "rest.csv")
+        assert (code, out, len(said)) == (2, "", 1)
+        assert f"rest.csv: no change of x, v, a in {rows} rows" in said[0]
+    code, out, _ = run(capsys, *predicted, folder / "second.npz", tmp_path / "rest.csv")
+    assert code == 0
+    assert out.rstrip().endswith("of 2 records")
+
+
 def test_a_channel_that_the_file_lacks(folder, tmp_path, capsys):
     record = bq.read(folder / "second.npz")
     bq.write(bq.Record({"x": record["x"], "u": record["u"]}, record.time), tmp_path / "few.csv")

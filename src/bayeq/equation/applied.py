@@ -151,7 +151,7 @@ def apply_to(equations: Equations, records: Sequence[Record], draws: int = 200, 
     """Predictions for records with time and all channels of the equations, and the verdict whether these hold there.
 
     `draws` runs with coefficients from the posterior give the bands. InputError: channels that are missing, units that
-    cannot be converted, no time. DataWarning: samples that are missing or left out.
+    cannot be converted, no time, no motion. DataWarning: samples that are missing or left out.
     """
     records = numbered(records, equations.numbers)
     if equations.roles.discrete:
@@ -163,6 +163,7 @@ def apply_to(equations: Equations, records: Sequence[Record], draws: int = 200, 
     pieces = [piece for piece in along.prepared(equations, fitting, divide=True) if piece.n >= LEAST_ROWS]
     if not pieces:
         raise InputError(f"{records[0].label}: too few rows to predict; give two or more")
+    _require_moving(pieces, equations.roles.measured)
     notes = [*chain.from_iterable(converted), *_out_of_range(equations, pieces)]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataWarning)  # samples left out have been reported
@@ -198,6 +199,18 @@ def apply_to(equations: Equations, records: Sequence[Record], draws: int = 200, 
         notes=tuple(dict.fromkeys(notes)),
         runs=runs,
         clock=records[0].clock,
+    )
+
+
+def _require_moving(records: Sequence[Record], names: Sequence[str]) -> None:
+    """Raise an InputError unless one of the channels changes: errors are shares of what changes."""
+    for name in names:
+        samples = np.concatenate([record[name] for record in records])
+        if len(np.unique(samples[np.isfinite(samples)])) > 1:
+            return
+    raise InputError(
+        f"{records[0].label}: no change of {', '.join(names)} in {sum(record.n for record in records)} rows: errors are"
+        " shares of it; give a record that moves"
     )
 
 
@@ -296,7 +309,7 @@ def test_errors(equations: Equations, records: Sequence[Record], skip: int) -> l
 
     Each run is driven by the inputs alone, and begins in the state with which it follows the first `skip` rows best.
     Errors are in the units of the equations. InputError for fewer rows than 10 before or 2 after, a channel that is
-    missing, or a unit that cannot be converted.
+    missing, a unit that cannot be converted, or no motion.
     """
     out: list[TestError] = []
     for number, record in enumerate(records):
@@ -307,6 +320,7 @@ def test_errors(equations: Equations, records: Sequence[Record], skip: int) -> l
                 f" of its {record.n} rows, and leave some; got {skip}"
             )
         record, notes = as_equations_have_them(equations, record)
+        _require_moving([record.slice(skip, record.n)], equations.roles.measured)
         first = replace(record.slice(0, skip), name=f"{name}, rows 1 to {skip}")
         begin = equations.simulate(first, draws=0)
         start = {state: float(values[0]) for state, values in begin.mean.items()}
