@@ -204,6 +204,28 @@ def test_states_of_second_order_are_not_in_a_sum() -> None:
         parse_conserved("x + S", chains)
 
 
+def test_equations_of_files_with_common_terms_balance_too(tmp_path) -> None:
+    for k in range(2):
+        bq.write(sir(k, n=120), tmp_path / f"{k}.csv")
+    options = {"chains": ["S", "I", "R"], "dictionary": "I, S*I, S*R", "conserve": "S + I + R", "common": True}
+    batch = bq.batch(sorted(tmp_path.glob("*.csv")), store=tmp_path / "b.db", **options)
+    assert batch.common is not None
+    for one in batch:
+        assert one.equations.constraints == ("S + I + R is conserved",)
+        assert [set(eq.shown) for eq in one.equations] == [set(eq.shown) for eq in batch.common]
+        dS, dI, dR = (eq.shown_coef for eq in one.equations)
+        assert dS["S*I"] == -dI["S*I"]
+        assert dI["I"] == -dR["I"]
+    # a common equation without the sum, which the files contradict, leaves them without it too
+    for k in range(2):
+        bq.write(sir(k, n=120, lost=0.1), tmp_path / f"{k}.csv")
+    lost = bq.batch(sorted(tmp_path.glob("*.csv")), store=tmp_path / "b.db", **{**options, "dictionary": "I, S*I"})
+    assert [one.status for one in lost] == ["ok", "ok"]
+    assert [eq.constraints for eq in (lost.common, lost[0].equations)] == [(), ()]
+    with pytest.raises(InputError, match="prior"):
+        found(sir(1, n=60), prior=Prior(prior_inclusion=0.5))
+
+
 def test_through_the_command(tmp_path, capsys) -> None:
     path, saved = tmp_path / "sir.csv", tmp_path / "eq.json"
     record = sir(7)

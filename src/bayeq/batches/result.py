@@ -26,6 +26,7 @@ from bayeq.inference.prior import Prior
 from bayeq.records.formats import suffixes
 from bayeq.records.formats.excel import without_sheet
 from bayeq.records.stream import files_in
+from bayeq.regression.constraints import CONSERVED
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -81,6 +82,7 @@ def fixed_terms(options: Mapping[str, Any], common: Mapping[str, Any]) -> dict[s
     terms = {
         one["target"]: [_with_ranges(t["name"], one) for t in one["terms"] if t["shown"]] for one in common["equations"]
     }
+    conserved = any(text.endswith(CONSERVED) for text in common["diagnostics"].get("constraints", ()))
     empty = [target for target, names in terms.items() if not names]
     if empty:
         raise InputError(
@@ -88,11 +90,12 @@ def fixed_terms(options: Mapping[str, Any], common: Mapping[str, Any]) -> dict[s
             " other terms (dictionary=), or leave common out"
         )
     prior = options.get("prior") or Prior()
-    fixed = {**options, "dictionary": terms, "constraints": (), "conserve": ""}
+    fixed = {**options, "dictionary": terms, "constraints": ()}
     given = options.get("constraints", ())
     texts = [given] if isinstance(given, str) else given
     return {
         **fixed,
+        "conserve": options.get("conserve", "") if conserved else "",
         "constraints": [text for text in texts if _holds(fixed, text)],
         "prior": replace(prior, slab_variance=_WIDE, prior_inclusion=1.0, inclusion_beta=None, signs=None, bounds=None),
         "method": "bma",

@@ -303,7 +303,8 @@ def question_of(**asked: Any) -> Question:
     # wrong constraints are reported before the work
     check_scales(roles, terms, allowed, parse_constraints(known, terms, roles.targets, allowed=allowed))
     if given.conserve:
-        beside = known or given.differs or roles.hidden or given.discrete or given.prior or given.max_terms
+        prior = given.prior and not _forces_all(given.prior)
+        beside = known or given.differs or roles.hidden or given.discrete or prior or given.max_terms
         joint = given.method in JOINT and smooth == "auto"
         _check_conserve(bool(beside) or given.coarsen < 1.0, joint, terms)
     roles = roles.for_terms(terms)
@@ -380,6 +381,11 @@ def _check_map(smooth: Smooth, band: Any, lag_sd: Any, differs: Any, law: Any) -
     refused = [name for name, is_given in given.items() if is_given]
     if refused:
         raise InputError(f"discrete: a map has no {refused[0]}; leave it out")
+
+
+def _forces_all(prior: Prior) -> bool:
+    """Whether a prior has every term in and knows no signs, which leaves a conserved sum as it is."""
+    return bool(np.all(np.asarray(prior.prior_inclusion) == 1.0)) and prior.signs is None and prior.bounds is None
 
 
 def _check_conserve(beside: bool, joint: bool, terms: Sequence[Expression]) -> None:
