@@ -97,6 +97,16 @@ def test_laws_that_cannot_be(law, why):
         bq.discover(actuator(1), chains="x::", inputs=["u"], dictionary="x, dx, f", law=law)
 
 
+@pytest.mark.parametrize("tau", [TAU, 0.0])
+def test_files_have_the_hidden_state_of_their_common_equation(tmp_path, tau):
+    bq.write(actuator(1, tau, rows=300), tmp_path / "1.csv")
+    options = {"chains": "x::", "inputs": ["u"], "law": "df = (u - f)/0.05", "common": True}
+    dictionary = "x, dx, f, x**3" if tau else "x, dx, f, u, x**3"  # without a lag the law is not needed
+    (one,) = bq.batch(tmp_path / "1.csv", store=tmp_path / "b.db", dictionary=dictionary, **options)
+    assert [eq.target for eq in one.equations] == ["ddx", "df"][: 2 if tau else 1]
+    assert set(one.equations[0].shown) == {"x", "dx", "f" if tau else "u", "x**3"}
+
+
 @pytest.mark.slow  # of a law that is found: test_hidden_found
 def test_a_scale_that_is_stated_is_the_one_of_the_fit():
     law = "df = {k: 5..100}*u - {c: 1..200}*f"

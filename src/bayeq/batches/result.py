@@ -79,8 +79,12 @@ def _plain(value: object) -> Any:
 
 def fixed_terms(options: Mapping[str, Any], common: Mapping[str, Any]) -> dict[str, Any]:
     """The options of `discover` for one file, with the terms of the `common` equation alone; InputError without any."""
+    found = {one["target"]: one for one in common["equations"]}
+    sought = question(options).roles.sought
     terms = {
-        one["target"]: [_with_ranges(t["name"], one) for t in one["terms"] if t["shown"]] for one in common["equations"]
+        target: [_with_ranges(t["name"], one) for t in one["terms"] if t["shown"]]
+        for target, one in found.items()
+        if target in sought
     }
     conserved = any(text.endswith(CONSERVED) for text in common["diagnostics"].get("constraints", ()))
     empty = [target for target, names in terms.items() if not names]
@@ -90,12 +94,17 @@ def fixed_terms(options: Mapping[str, Any], common: Mapping[str, Any]) -> dict[s
             " other terms (dictionary=), or leave common out"
         )
     prior = options.get("prior") or Prior()
-    fixed = {**options, "dictionary": terms, "constraints": ()}
+    fixed = {
+        **options,
+        "dictionary": terms,
+        "law": options.get("law", ()) if len(terms) < len(found) else (),  # the files may not need the hidden state
+        "conserve": options.get("conserve", "") if conserved else "",
+        "constraints": (),
+    }
     given = options.get("constraints", ())
     texts = [given] if isinstance(given, str) else given
     return {
         **fixed,
-        "conserve": options.get("conserve", "") if conserved else "",
         "constraints": [text for text in texts if _holds(fixed, text)],
         "prior": replace(prior, slab_variance=_WIDE, prior_inclusion=1.0, inclusion_beta=None, signs=None, bounds=None),
         "method": "bma",
