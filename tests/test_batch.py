@@ -236,6 +236,7 @@ def test_no_file_that_can_be_used(tmp_path, capsys, monkeypatch):
         (["--chain", "x:x"], "x"),
         (["-", *WORDS], "write standard input to one"),
         (["run.csv", *WORDS], "named twice"),
+        ([*WORDS, "--common", "--differs", "x"], "compare the files with bayeq discover FILES --differs"),
         (["empty", *WORDS], "no file of a known format"),
     ],
 )
@@ -505,6 +506,18 @@ def test_constraints_on_terms_that_are_left_stay(days, tmp_path):
     assert found[0].equations.constraints == ("u == 1", "x <= 0")
     assert (found.table().query("term == 'u'").coef == 1.0).all()
     assert "v*abs(v)" not in set(found.table().term)
+
+
+def test_coefficients_differ_between_the_records_of_a_file(days, tmp_path, capsys):
+    parts = [pd.read_csv(days / f"day{k}.csv").assign(run=k) for k in (8, 11)]
+    pd.concat(parts).to_csv(tmp_path / "two.csv", index=False)
+    words = ["batch", str(tmp_path / "two.csv"), *WORDS, "--differs", "x", "--store", str(tmp_path / "a.db")]
+    assert main([*words, "--group", "run", "--json"]) == 0
+    (differs,) = [row for row in json.loads(capsys.readouterr().out)["table"] if row["term"] == "x*run2"]
+    assert differs["coef"] == pytest.approx(150.0, abs=30.0)
+    words[1] = str(days / "day8.csv")
+    assert main(words) == 2
+    assert "not 1; bayeq discover FILES --differs takes each file as one" in capsys.readouterr().err
 
 
 def test_an_output_is_no_record(folder, tmp_path, capsys, monkeypatch):

@@ -79,13 +79,13 @@ def _plain(value: object) -> Any:
 
 def fixed_terms(options: Mapping[str, Any], common: Mapping[str, Any]) -> dict[str, Any]:
     """The options of `discover` for one file, with the terms of the `common` equation alone; InputError without any."""
-    found = {one["target"]: one for one in common["equations"]}
     sought = question(options).roles.sought
     terms = {
-        target: [_with_ranges(t["name"], one) for t in one["terms"] if t["shown"]]
-        for target, one in found.items()
-        if target in sought
+        one["target"]: [_with_ranges(t["name"], one) for t in one["terms"] if t["shown"]]
+        for one in common["equations"]
+        if one["target"] in sought
     }
+    stated = len(terms) < len(common["equations"])
     conserved = any(text.endswith(CONSERVED) for text in common["diagnostics"].get("constraints", ()))
     empty = [target for target, names in terms.items() if not names]
     if empty:
@@ -97,7 +97,7 @@ def fixed_terms(options: Mapping[str, Any], common: Mapping[str, Any]) -> dict[s
     fixed = {
         **options,
         "dictionary": terms,
-        "law": options.get("law", ()) if len(terms) < len(found) else (),  # the files may not need the hidden state
+        "law": options.get("law", ()) if stated else (),  # the files may not need the hidden state
         "conserve": options.get("conserve", "") if conserved else "",
         "constraints": (),
     }

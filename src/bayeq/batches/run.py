@@ -143,6 +143,11 @@ def run_batch(
         raise InputError(f"jobs is a number of processes, 1 to {MAX_JOBS}, got {jobs!r}")
     step = progress or silent
     question(options)
+    if common and options.get("differs"):
+        raise InputError(
+            "differs: a common equation has no coefficients that differ between files: leave common out, or compare"
+            " the files with bayeq discover FILES --differs"
+        )
     for path in paths:
         if path.exists() and store.exists() and path.samefile(store):
             raise InputError(f"{path}: is the store of the batch and no record; leave it out")

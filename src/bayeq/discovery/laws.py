@@ -121,7 +121,8 @@ def with_differences(
     """
     if not 1 < len(records) <= MOST_RECORDS:
         raise InputError(
-            f"differs: coefficients differ between records: 2 to {MOST_RECORDS} are needed, not {len(records)}"
+            f"differs: coefficients differ between records: 2 to {MOST_RECORDS} are needed, not {len(records)}; bayeq"
+            " discover FILES --differs takes each file as one"
         )
     names = [f"run{k}" for k in range(2, len(records) + 1)]
     taken = next((name for name in names for record in records if name in record.channels), None)
