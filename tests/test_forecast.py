@@ -491,3 +491,27 @@ def test_a_run_of_dry_friction_is_as_exact_as_its_law():
     law = eq[0].shown_coef
     assert law["sign(v)"] == pytest.approx(-c, rel=1e-3)
     assert np.sqrt(np.mean((run - x[:450]) ** 2)) < 2e-4
+
+
+def test_bands_count_the_noise_of_the_force_where_the_record_is_a_measurement():
+    """By the coefficients alone they held the true motion at half of the rows."""
+
+    def measured(seed, n=1200):
+        clean = bq.simulate("duffing", n=n, fs=200.0, seed=seed, noise=0.0)
+        rng = np.random.default_rng(seed)
+        noisy = {name: clean[name] + 0.05 * clean[name].std() * rng.normal(size=clean.n) for name in "xvau"}
+        return clean, bq.Record.from_arrays(noisy, time=clean.time)
+
+    _, record = measured(31, 6000)
+    eqs = bq.discover(record, chains="x:v:a", inputs=["u"], dictionary=["x", "v", "x**3", "u"])
+    held = []
+    for seed in range(32, 35):
+        clean, record = measured(seed)
+        run = eqs.simulate(record)
+        held.append(np.mean((clean["x"] > run.low["x"]) & (clean["x"] < run.high["x"])))
+        planned = eqs.simulate(
+            bq.Record.from_arrays({"u": record["u"]}, time=clean.time),
+            initial={"x": run.mean["x"][0], "v": run.mean["v"][0]},
+        )
+        assert np.mean(planned.high["x"] - planned.low["x"]) < 0.7 * np.mean(run.high["x"] - run.low["x"])
+    assert np.mean(held) > 0.85
