@@ -149,6 +149,25 @@ def test_a_clearance_between_two_masses_is_one_of_their_difference():
     assert len(offers) == 1  # a constant has one range
 
 
+def test_dry_friction_of_a_motor_is_a_jump():
+    """Speed of a rotor under a current, by steps of a fiftieth of a sample; powers and kinks had been offered."""
+    rng, t = np.random.default_rng(7405), np.arange(50 * 3000) / (50 * 200.0)
+    w, phase = 2.0 * np.pi * rng.uniform(0.1, 3.0, 16), rng.uniform(0.0, 2.0 * np.pi, 16)
+    current, speed = 2.0 * np.cos(np.outer(t, w) + phase).sum(axis=1) / np.sqrt(8.0), np.zeros(len(t))
+    for k in range(len(t) - 1):
+        free = speed[k] + (t[1] - t[0]) * (40.0 * current[k] - 0.5 * speed[k])
+        speed[k + 1] = np.sign(free) * max(abs(free) - (t[1] - t[0]) * 16.0, 0.0)
+    channels = {"speed": speed[::50], "i": current[::50]}
+    noisy = {name: one + 0.01 * one.std() * rng.standard_normal(len(one)) for name, one in channels.items()}
+    motor = bq.Record.from_arrays(noisy, fs=200.0)
+    first = bq.discover(motor, chains="speed", inputs=["i"], dictionary="polynomial:3")
+    assert first.verdict.kind != "found"
+    assert re.search(r"speed has a jump near 0, which no candidate has: offer sign\(speed\)$", str(first.verdict))
+    again = bq.discover(motor, chains="speed", inputs=["i"], dictionary="polynomial:3, sign(speed)")
+    assert set(again[0].shown) == {"speed", "i", "sign(speed)"}
+    assert again.verdict.kind == "found"
+
+
 def test_a_dead_zone_of_the_force_is_named():
     """Nothing but u is offered of the force, which acts above 0.8 N only."""
     eq = found(record(lambda x: 0.0 * x, 7402, force=lambda u: np.maximum(u - 0.8, 0.0) + np.minimum(u + 0.8, 0.0)))

@@ -179,7 +179,7 @@ def with_kinks(verdict: Verdict, kinks: Kinks, pulses: bool) -> Verdict:
     nor the cause where there is no equation. In another channel it is the cause if it leaves nearly nothing.
     """
     at = " and ".join(f"{place:.2g}" for place in kinks.places)
-    kind = "a kink" if kinks.alone else "a function that bends"
+    kind = "a jump" if kinks.jumps else "a kink" if kinks.alone else "a function that bends"
     said, offer = f"{kinks.name} has {kind} near {at}, which no candidate has", f"offer {', '.join(kinks.terms)}"
     if verdict.kind == "found" and pulses:
         return verdict

@@ -2,7 +2,8 @@
 
 Powers, signs and absolute values fit a kink, as of a spring that meets a stop, to within the noise, and then no test of
 what is left finds anything; but the slope at rest is not that of the spring. So the models of the candidates are
-compared with those that have hinges at quantiles of a state or input beside them, by the likelihood about the fit.
+compared with those that have hinges at quantiles of a state or input, and its sign, beside them, by the likelihood
+about the fit.
 """
 
 from __future__ import annotations
@@ -45,6 +46,7 @@ class Kinks(NamedTuple):
     terms: tuple[str, ...]  # candidates, with an unknown place each, that have these kinks and are 0 at rest
     alone: bool  # whether the law has no other kinks, and no other functions of the same alone
     left: float  # discrepancy that it leaves, as a share of the target's standard deviation
+    jumps: bool = False  # whether it jumps at 0: the first of `terms` is then its sign
 
 
 class _Proposal(NamedTuple):
@@ -53,7 +55,8 @@ class _Proposal(NamedTuple):
     argument: Expression
     gain: float
     grid: Floats  # (K + 2,), places of the least value, the hinges and the largest value
-    task: Task  # with the hinges after the candidates
+    sign: tuple[str, ...]  # of the argument, if it changes its sign and no candidate is that
+    task: Task  # with the hinges, and the sign, after the candidates
     start: State
 
 
@@ -104,12 +107,12 @@ def _function_of(argument: Expression, term: Expression) -> bool:
 def _kinks(one: _Proposal, best: Fitted, gain: float) -> dict[int, Kinks]:
     """The kinks of each equation: neighbouring hinges that bend the same way are one, about their centre. Their places
     are those of the equation that bends most, so that one constant each is offered to all."""
-    found, most, layout, K = dict[int, tuple[bool, float]](), 0.0, one.task.layout, len(one.grid) - 2
-    model = best.model.reshape(layout.chains, -1)
+    found, most, layout, K = dict[int, tuple[bool, float, bool]](), 0.0, one.task.layout, len(one.grid) - 2
+    model, P = best.model.reshape(layout.chains, -1), len(layout.terms) - K - len(one.sign)
     theta = coefficients(layout, best.state).reshape(layout.chains, -1)
-    bent = [j for j, term in enumerate(layout.terms[:-K]) if _function_of(one.argument, term)]
+    bent = [j for j, term in enumerate(layout.terms[:P]) if _function_of(one.argument, term)]
     offered: list[tuple[float, float, float]] = []
-    for c, sizes in enumerate(theta[:, -1 - K : -1]):
+    for c, sizes in enumerate(theta[:, P : P + K]):
         inside = np.flatnonzero(sizes)
         apart = (np.diff(inside) > 1) | (np.diff(np.sign(sizes[inside])) != 0.0)
         groups = np.split(inside + 1, np.flatnonzero(apart) + 1) if len(inside) else []
@@ -117,11 +120,14 @@ def _kinks(one: _Proposal, best: Fitted, gain: float) -> dict[int, Kinks]:
         kinks = [(bend, k) for bend, k in kinks if bend >= LIKELIHOOD.least_kink * kinks[0][0]]
         about = [(k, float(np.average(one.grid[k], weights=sizes[k - 1]))) for _, k in kinks[:MOST]]
         places = sorted((float(one.grid[k[0] - 1]), place, float(one.grid[k[-1] + 1])) for k, place in about)
-        if places:
-            found[c] = len(kinks) <= MOST and not model[c, bent].any(), float(best.state.levels.kappa[c])
-            if kinks[0][0] > most:
+        jumps = bool(model[c, P + K : -1].any())
+        if places or jumps:
+            found[c] = len(kinks) <= MOST and not model[c, bent].any(), float(best.state.levels.kappa[c]), jumps
+            if kinks and kinks[0][0] > most:
                 most, offered = kinks[0][0], places
-    at, terms = tuple(place for _, place, _ in offered), tuple(_offered(one, offered))
+    jumping = any(jumps for *_, jumps in found.values())
+    at = (0.0,) * jumping + tuple(place for _, place, _ in offered)
+    terms = one.sign * jumping + tuple(_offered(one, offered))
     return {c: Kinks(one.argument.text, gain, at, terms, *own) for c, own in found.items()}
 
 
@@ -152,6 +158,9 @@ def _proposal(task: Task, fitted: Fitted, argument: Expression) -> _Proposal | N
     if not (np.diff(grid) > 0.0).all():
         return None
     hinges = [parse(f"max({argument.text}-({place!r}),0)", layout.names) for place in grid[1:-1].tolist()]
+    jump = parse(f"sign({argument.text})", layout.names)
+    if grid[1] < 0.0 < grid[-2] and all(term.text != jump.text for term in layout.terms):
+        hinges.append(jump)
     like = next((j for j, term in enumerate(layout.terms) if term.text == argument.text), 0)
     q, own, state = beside(task, fitted, hinges, [like])
     odds = own.log_odds.reshape(C, -1)
@@ -161,7 +170,7 @@ def _proposal(task: Task, fitted: Fitted, argument: Expression) -> _Proposal | N
     without[:, P:-1] = -math.inf
     own = replace(own, log_odds=odds.ravel())
     here = own.model(state.chosen)
-    others = np.array([not _function_of(argument, term) for term in layout.terms] + [True] * (len(grid) - 1))
+    others = np.array([not _function_of(argument, term) for term in layout.terms] + [True] * (len(hinges) + 1))
     bare = (here.reshape(C, -1) & others).ravel()
     problem = own.problem(q)
     before, _ = best_models(replace(own, log_odds=without.ravel()).problem(q), [here])[0]
@@ -175,7 +184,7 @@ def _proposal(task: Task, fitted: Fitted, argument: Expression) -> _Proposal | N
     coef, _ = exact_posterior(problem, model, None)
     chosen = own.layout.everything.take(np.flatnonzero(model))
     start = replace(state, chosen=chosen, theta=(coef / np.sqrt(own.precision))[model])
-    return _Proposal(argument, score - before, grid, own, start)
+    return _Proposal(argument, score - before, grid, tuple(one.text for one in hinges[len(grid) - 2 :]), own, start)
 
 
 def _fit(one: _Proposal) -> Fitted:
