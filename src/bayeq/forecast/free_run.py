@@ -385,7 +385,8 @@ def run_bands(
     """
     (runs, d), n, noisy = starts.shape, len(drive.inputs), np.flatnonzero(noise)
     current, stopped = starts.copy(), np.zeros(runs, dtype=np.uint32)
-    latest = noise[noisy] * rng.standard_normal((runs, len(noisy)))
+    drawing = rng.spawn(runs)  # one generator a run, so that blocks do not matter
+    latest = noise[noisy] * np.array([one.standard_normal(len(noisy)) for one in drawing])
     bottom, top = np.empty((n, d)), np.empty((n, d))
     time = np.append(0.0, np.cumsum(drive.intervals))
     below, above = math.floor(TAIL * (runs - 1)), math.ceil((1.0 - TAIL) * (runs - 1))
@@ -397,7 +398,7 @@ def run_bands(
         for one in (slice(run, run + 1) for run in range(runs)):
             driven = pushed(part, time[row:end], [sines[one.start] for sines in forces])
             if len(noisy):
-                drawn = noise[noisy] * rng.standard_normal((end - row - 1, len(noisy)))
+                drawn = noise[noisy] * drawing[one.start].standard_normal((end - row - 1, len(noisy)))
                 errors = np.concatenate([latest[one], drawn])
                 latest[one] = errors[-1]
                 inputs = driven.inputs if forces else driven.inputs.copy()
