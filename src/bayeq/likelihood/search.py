@@ -185,8 +185,12 @@ def from_starts(task: Task, starts: Iterable[Start], finish: bool = False) -> tu
             last = from_all_levels(there, best.state)
         except np.linalg.LinAlgError:
             continue
+        adequate = last.state.levels.kappa.max() < LIKELIHOOD.adequate
+        if adequate:  # at other levels than those that its terms were chosen at
+            _, other = rounds(there, last.state, coarse=False)
+            last = max(last, other, key=lambda one: one.evidence)
         settled[best.model.tobytes()] = there, last
-        if last.state.levels.kappa.max() < LIKELIHOOD.adequate:
+        if adequate:
             break
     if not settled:
         raise np.linalg.LinAlgError("no start leads to a likelihood that can be evaluated")
