@@ -338,5 +338,11 @@ def test_half_of_the_motion_is_noise():
     right = quietly(records, chains=["x", "y", "z"], dictionary=laws, holdout=0.0)
     assert [(one.verdict.kind, set(one.shown)) for one in right] == [("found", set(law)) for law in laws.values()]
     assert right[0].train.r2 < 0.5
+    assert [one.verdict.by_runs for one in right] == [True, False, False]
     wrong = quietly(records, chains=["x", "y", "z"], dictionary={**laws, "dx": ["x", "z"]}, holdout=0.0)
     assert wrong[0].verdict.kind == "none"
+    unsure = quietly(records, chains=["x", "y", "z"], dictionary={**laws, "dz": "polynomial:1"}, holdout=0.0)
+    assert unsure[2].verdict.kind in ("none", "not determined")
+    # runs are of all equations together
+    assert unsure[0].verdict.kind == "not determined"
+    assert unsure[0].verdict.reason.startswith("only free runs speak for it")

@@ -210,7 +210,14 @@ def with_doubts(
             verdict = with_clipping(verdict, name, much)
         residuals = equation.residuals if shape is None else replace(equation.residuals, **shape._asdict())
         found.append(replace(equation, verdict=verdict, residuals=residuals))
-    return tuple(found)
+    target = next((one.target for one in found if one.verdict.kind in ("none", "not determined")), None)
+    if target is None:
+        return tuple(found)
+    unsure = Verdict(
+        "not determined", f"only free runs speak for it, and they need {target}, which is not found", LONGER
+    )
+    alone = [one.verdict.by_runs and one.verdict.kind == "found" for one in found]
+    return tuple(replace(one, verdict=unsure) if by_runs else one for one, by_runs in zip(found, alone, strict=True))
 
 
 def _of_noise(selection: Selection) -> dict[str, Verdict]:

@@ -88,11 +88,15 @@ class Verdict:
         The reason, in a sentence.
     advice : str
         What to do about it, in a sentence; empty if there is nothing.
+    by_runs : bool
+        Whether only free runs of all equations together decided, as errors of estimated states hide what the terms
+        explain: ``not determined`` if another equation is, or there is none.
     """
 
     kind: Kind
     reason: str
     advice: str = ""
+    by_runs: bool = False
 
     def __str__(self) -> str:
         return f"{self.kind}: {self.reason}" + (f"; {self.advice}" if self.advice else "")
@@ -132,7 +136,8 @@ def judge(
         failed = "started from a measured state the equation is wrong within one period"
         return Verdict("none", f"no equation found: {failed}{though}")
     within = f"free runs over one period within {in_digits(100 * window.error)} %"
-    return Verdict("found", f"{rows}{'; ' if rows else ''}{within}")
+    alone = by_runs and max(above, r2) < EQUATION.least_r2
+    return Verdict("found", f"{rows}{'; ' if rows else ''}{within}", by_runs=alone)
 
 
 def suspecting(verdict: Verdict, found: Suspect, seconds: float) -> Verdict:
@@ -179,7 +184,8 @@ def with_kinks(verdict: Verdict, kinks: Kinks, pulses: bool) -> Verdict:
     nor the cause where there is no equation. In another channel it is the cause if it leaves nearly nothing.
     """
     at = " and ".join(f"{place:.2g}" for place in kinks.places)
-    kind = "a jump" if kinks.jumps else "a kink" if kinks.alone else "a function that bends"
+    kind = "a kink" if kinks.alone else "a function that bends"
+    kind = "a jump" if kinks.jumps and len(kinks.terms) == 1 else kind
     said, offer = f"{kinks.name} has {kind} near {at}, which no candidate has", f"offer {', '.join(kinks.terms)}"
     if verdict.kind == "found" and pulses:
         return verdict
