@@ -13,7 +13,6 @@ found.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
@@ -27,6 +26,7 @@ from bayeq.inference.prior import Prior
 from bayeq.likelihood.fit import State, Statistics, adjoints, maximised, quadratic, solved
 from bayeq.likelihood.layout import Candidates
 from bayeq.likelihood.model import Task, finer
+from bayeq.likelihood.search import CLEARLY
 from bayeq.likelihood.start import start_of_runs
 from bayeq.numerics.rk4 import Interpolation
 from bayeq.numerics.settings import REFINE
@@ -42,6 +42,9 @@ MOST_STEPS, STEP, MOST_HALVED = 30, 1e-2, 8
 
 # Prior precision of the coefficients, as a share of that in searches: nearly flat.
 FLAT = 1e-9
+
+# Courses of a smooth input between its samples.
+SMOOTH: tuple[Interpolation, ...] = ("cubic", "band-limited")
 
 # Blocks of rows for the test of the covariance: enough to estimate a variance, each long against the memory of the
 # noise. There are fewer if a block would have fewer rows than BLOCK_ROWS.
@@ -156,9 +159,10 @@ def output_error(
     if not found:
         assert failed is not None
         return failed
-    best = max(found, key=lambda one: one.log_likelihood)
-    weights = np.array([math.exp((one.log_likelihood - best.log_likelihood) / best.excess) for one in found])
-    weights /= weights.sum()
+    # as in `bayeq.likelihood.courses`, inputs are smooth unless the motion clearly tells otherwise
+    excess = max(one.excess for one in found)
+    logs = np.array([one.log_likelihood / excess - CLEARLY * (one.interpolation not in SMOOTH) for one in found])
+    best, weights = found[int(np.argmax(logs))], np.exp(logs - np.logaddexp.reduce(logs))
     mean = sum((w * one.parameters for w, one in zip(weights, found, strict=True)), np.zeros(len(parameters)))
     apart = [one.parameters - mean for one in found]
     covariances = (one.covariance + np.outer(off, off) for one, off in zip(found, apart, strict=True))
