@@ -41,7 +41,7 @@ def to_dict(eq: Answer) -> dict[str, Any]:
     return {
         "version": version("bayeq"),
         "method": eq.method,
-        "verdict": _attributes(eq.verdict, "kind", "reason", "advice"),
+        "verdict": asdict(eq.verdict),
         "data": {
             "file": files[0] if len(files) == 1 else list(files),
             **_attributes(eq.data, "n", "fs", "seconds", "rows_as_time", "n_train", "n_held_out"),
@@ -97,7 +97,7 @@ def _equation(equation: Equation, eq: Answer) -> dict[str, Any]:
     shown = equation.shown_posterior
     return {
         "target": equation.target,
-        "verdict": _attributes(equation.verdict, "kind", "reason", "advice"),
+        "verdict": asdict(equation.verdict),
         "intercept": equation.shown_model.intercept,
         "intercept_sd": equation.shown_model.intercept_sd,
         "intercept_included": shown.constant.left_out is None,
