@@ -14,7 +14,7 @@ from studies.numbers_records import draw_heater
 import bayeq as bq
 from bayeq.discovery import question
 from bayeq.equation.brief import brief
-from bayeq.equation.verdict import Verdict, Window, _window, judge, with_clipping
+from bayeq.equation.verdict import ByRuns, Verdict, Window, _window, judge, with_clipping
 from bayeq.errors import DataWarning, InputError
 from bayeq.inference import gibbs
 from bayeq.likelihood import spike
@@ -338,7 +338,8 @@ def test_half_of_the_motion_is_noise():
     right = quietly(records, chains=["x", "y", "z"], dictionary=laws, holdout=0.0)
     assert [(one.verdict.kind, set(one.shown)) for one in right] == [("found", set(law)) for law in laws.values()]
     assert right[0].train.r2 < 0.5
-    assert [one.verdict.by_runs for one in right] == [True, False, False]
+    assert [isinstance(one.verdict, ByRuns) for one in right] == [True, False, False]
+    assert right[0].residuals.driver is None  # errors of states follow these
     wrong = quietly(records, chains=["x", "y", "z"], dictionary={**laws, "dx": ["x", "z"]}, holdout=0.0)
     assert wrong[0].verdict.kind == "none"
     unsure = quietly(records, chains=["x", "y", "z"], dictionary={**laws, "dz": "polynomial:1"}, holdout=0.0)

@@ -19,6 +19,7 @@ from bayeq.equation.verdict import (
     CAREFUL,
     LEAST_SHOWN,
     LONGER,
+    ByRuns,
     Verdict,
     Window,
     alike,
@@ -135,7 +136,6 @@ def build_equation(selection: Selection, window: Window | None) -> Equation:
     variance, whole = gram.yty / gram.n, regression.rows.select([]) + gram.select([]) if by_rest else gram
     noise = noise_share(regression, shown, variance)
     share = variance / (whole.yty / whole.n) if whole.yty > 0.0 else 1.0
-    residuals = regression.residuals(shown, (*motion.roles.inputs, *motion.roles.states))
     # a term that equalities tie to others has the rule that decided on these
     differ = {
         term.text: selection.why.get(term.text) or next(iter(selection.why.values()))
@@ -144,6 +144,9 @@ def build_equation(selection: Selection, window: Window | None) -> Equation:
     }
     target, numbers = regression.chain.target, _numbers(regression)
     verdict = judge(target, judged, by_rest, noise, window, regression.through_motion, share, numbers)
+    # residuals follow the states whose errors they are
+    followed = () if isinstance(verdict, ByRuns) else (*motion.roles.inputs, *motion.roles.states)
+    residuals = regression.residuals(shown, followed)
     if regression.chain.found:
         verdict = _of_hidden(regression)
     bound = None if verdict.kind == "none" else bounds(fit)
@@ -216,7 +219,7 @@ def with_doubts(
     unsure = Verdict(
         "not determined", f"only free runs speak for it, and they need {target}, which is not found", LONGER
     )
-    alone = [one.verdict.by_runs and one.verdict.kind == "found" for one in found]
+    alone = [isinstance(one.verdict, ByRuns) and one.verdict.kind == "found" for one in found]
     return tuple(replace(one, verdict=unsure) if by_runs else one for one, by_runs in zip(found, alone, strict=True))
 
 

@@ -88,18 +88,22 @@ class Verdict:
         The reason, in a sentence.
     advice : str
         What to do about it, in a sentence; empty if there is nothing.
-    by_runs : bool
-        Whether only free runs of all equations together decided, as errors of estimated states hide what the terms
-        explain: ``not determined`` if another equation is, or there is none.
     """
 
     kind: Kind
     reason: str
     advice: str = ""
-    by_runs: bool = False
 
     def __str__(self) -> str:
         return f"{self.kind}: {self.reason}" + (f"; {self.advice}" if self.advice else "")
+
+
+@dataclass(frozen=True, slots=True)
+class ByRuns(Verdict):
+    """A verdict by free runs of all equations together alone: errors of estimated states hide what the terms explain.
+
+    It becomes ``not determined`` if another equation is, or if there is none.
+    """
 
 
 def judge(
@@ -136,8 +140,8 @@ def judge(
         failed = "started from a measured state the equation is wrong within one period"
         return Verdict("none", f"no equation found: {failed}{though}")
     within = f"free runs over one period within {in_digits(100 * window.error)} %"
-    alone = by_runs and max(above, r2) < EQUATION.least_r2
-    return Verdict("found", f"{rows}{'; ' if rows else ''}{within}", by_runs=alone)
+    kind = ByRuns if by_runs and max(above, r2) < EQUATION.least_r2 else Verdict
+    return kind("found", f"{rows}{'; ' if rows else ''}{within}")
 
 
 def suspecting(verdict: Verdict, found: Suspect, seconds: float) -> Verdict:
