@@ -282,8 +282,10 @@ def noise_share(regression: Regression, posterior: Posterior, variance: float) -
             for name in motion.train[0].columns
         }
         moved = {name: columns[name] + sd * rng.standard_normal(len(columns[name])) for name, sd in sds.items()}
-        change = evaluate_terms(terms, {**columns, **moved}) - evaluate_terms(terms, columns)
-        error += float(np.nanmean((change @ posterior.coef[kept]) ** 2))
+        with np.errstate(all="ignore"):  # a state may leave the range of sqrt(x)
+            change = evaluate_terms(terms, {**columns, **moved}) - evaluate_terms(terms, columns)
+            squares = (change @ posterior.coef[kept]) ** 2
+        error += float(squares[np.isfinite(squares)].sum()) / len(squares)
     return min(error / variance, 1.0) if variance > 0.0 else 0.0
 
 
