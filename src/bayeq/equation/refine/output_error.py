@@ -163,7 +163,9 @@ def output_error(
     excess = max(one.excess for one in found)
     logs = np.array([one.log_likelihood / excess - CLEARLY * (one.interpolation not in SMOOTH) for one in found])
     best, weights = found[int(np.argmax(logs))], np.exp(logs - np.logaddexp.reduce(logs))
-    mean = sum((w * one.parameters for w, one in zip(weights, found, strict=True)), np.zeros(len(parameters)))
+    # relative to the likeliest, so that what constraints fix stays exact
+    moves = [one.parameters - best.parameters for one in found]
+    mean = best.parameters + weights @ np.array(moves)
     apart = [one.parameters - mean for one in found]
     covariances = (one.covariance + np.outer(off, off) for one, off in zip(found, apart, strict=True))
     covariance = sum((w * each for w, each in zip(weights, covariances, strict=True)), np.zeros(best.covariance.shape))
