@@ -279,7 +279,8 @@ class Equations(Answer):
         holdout : float
             Share of the rows, the last of each record, that is not used.
         interpolation : "cubic", "linear", "hold" or "band-limited", optional
-            See `simulate`; by default the likeliest of cubic, linear, band-limited and those that `discover` found.
+            See `simulate`; by default coefficients are averages over cubic, linear, band-limited and those that
+            `discover` found.
 
         Returns
         -------

@@ -240,10 +240,7 @@ def alike(dynamics: Dynamics, motion: Motion) -> tuple[str, ...]:
     ]
     if not coupled:
         return ()
-    step = max(1, sum(rows.n for rows in motion.train) // MOST_MATRICES)
-    few = {
-        name: np.concatenate([rows.columns[name][::step] for rows in motion.train]) for name in motion.train[0].columns
-    }
+    few = _some_rows(motion, MOST_MATRICES)
     left = np.tile(np.eye(len(targets)), (len(next(iter(few.values()))), 1, 1))
     error = np.zeros(left.shape)
     for c, k, rest, coef, sd in coupled:
@@ -263,6 +260,14 @@ def alike(dynamics: Dynamics, motion: Motion) -> tuple[str, ...]:
     return tuple(target for target, part in zip(targets, parts, strict=True) if part > 0.0)
 
 
+def _some_rows(motion: Motion, most: int) -> dict[str, Floats]:
+    """Columns of about `most` training rows, spread evenly over the records; of all if there are fewer."""
+    step = max(1, sum(rows.n for rows in motion.train) // most)
+    return {
+        name: np.concatenate([rows.columns[name][::step] for rows in motion.train]) for name in motion.train[0].columns
+    }
+
+
 def noise_share(regression: Regression, posterior: Posterior, variance: float) -> float:
     """Share of a target's variance that is noise, as far as a smoother has learned it: of the target, or the error of
     its estimate, and what errors of the estimated states make of the equation's terms."""
@@ -276,11 +281,7 @@ def noise_share(regression: Regression, posterior: Posterior, variance: float) -
     }
     if sds and len(kept):
         terms, rng = [regression.design.terms[j] for j in kept], np.random.default_rng(0)
-        step = max(1, sum(rows.n for rows in motion.train) // MOST_MOVED)
-        columns = {
-            name: np.concatenate([rows.columns[name][::step] for rows in motion.train])
-            for name in motion.train[0].columns
-        }
+        columns = _some_rows(motion, MOST_MOVED)
         moved = {name: columns[name] + sd * rng.standard_normal(len(columns[name])) for name, sd in sds.items()}
         with np.errstate(all="ignore"):  # a state may leave the range of sqrt(x)
             change = evaluate_terms(terms, {**columns, **moved}) - evaluate_terms(terms, columns)

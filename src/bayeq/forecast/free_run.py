@@ -385,7 +385,7 @@ def run_bands(
     """
     (runs, d), n, noisy = starts.shape, len(drive.inputs), np.flatnonzero(noise)
     current, stopped = starts.copy(), np.zeros(runs, dtype=np.uint32)
-    drawing = rng.spawn(runs)  # one generator a run, so that blocks do not matter
+    drawing = rng.spawn(runs) if len(noisy) else []  # one generator a run, so that blocks do not matter
     latest = noise[noisy] * np.array([one.standard_normal(len(noisy)) for one in drawing])
     bottom, top = np.empty((n, d)), np.empty((n, d))
     time = np.append(0.0, np.cumsum(drive.intervals))

@@ -127,10 +127,10 @@ def suspects_of(task: Task, state: State, here: Statistics) -> tuple[Suspect, ..
     lagging = [k for k, one in named.items() if one.off == "lag"]
     coupled = dict[str, list[Suspect]]()
     if lagging:  # as a channel with AC coupling seems, which is early, or an input of motion that is measured with it
-        corners = _directions(task, state, here, [(sought[k][0], "high-pass") for k in lagging])
+        corners, gains = _directions(task, state, here, [(sought[k][0], "high-pass") for k in lagging]), found.alone[1]
         for k, value, gain, share in zip(lagging, *corners.alone, corners.shares, strict=True):
             # the same innovations are explained: what makes a lag less certain does so with a corner
-            sds = named[k].sds * math.sqrt(gain / found.alone[1][k])
+            sds = named[k].sds * math.sqrt(gain / gains[k])
             if sds > SUSPECTED and abs(value) * share > AS_SAID:
                 coupled[named[k].channel] = _coupled(layout, named[k], float(value) / (2.0 * math.pi), sds)
     for k, one in named.items():

@@ -105,9 +105,9 @@ def refine(
     """Output-error estimate of the coefficients and intercepts; see `bayeq.Equations.refine`.
 
     `before` are the equations by regression, with all intercepts; `dynamics` the same with the intercepts that are
-    estimated, the others are set to zero. Inputs are interpolated as given for all of them, or by the likeliest of
-    `KINDS` and those found before; `noise` has what is known of their standard deviations. Unrefined if free runs over
-    windows of the rows used would become worse.
+    estimated, the others are set to zero. Inputs are interpolated as given, or coefficients are averages over `KINDS`
+    and those found before; `noise` has what is known of their standard deviations. Unrefined if free runs over windows
+    of the rows used would become worse.
 
     InputError: channels that are missing, no time, too few rows, or constraints that fix every coefficient.
     """
