@@ -34,6 +34,7 @@ def test_an_interrupt_at_any_moment_is_one_line(name, folder, number):
     if name != "study":  # which runs for longer
         assert bayeq(*command, cwd=folder)[0] == 0
     span = min(time.monotonic() - began, 4.0) if name != "study" else 3.0
+    early = 0
     for k in range(number):
         process = start(*command, cwd=folder)
         time.sleep(span * (k + random.random()) / number)
@@ -41,7 +42,8 @@ def test_an_interrupt_at_any_moment_is_one_line(name, folder, number):
         out, err = process.communicate(timeout=60)
         said = remarks(err)
         if any("KeyboardInterrupt" in line for line in said):  # Python itself is still starting
-            assert k <= number // 3
+            early, span = early + 1, 1.5 * span  # the machine may be busier than before
+            assert early <= max(1, number // 3)
             assert "cli/app.py" not in err
             continue
         # -2: within the end of the process, or its very beginning
