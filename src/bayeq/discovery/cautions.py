@@ -83,7 +83,7 @@ UNLIKE, ALIKE = 100.0, 10.0
 
 
 def warn_of_units(records: Sequence[Record], roles: Roles, log: WarningLog) -> None:
-    """Warn if units seem to differ between records: a motion per input does, and one of both hardly."""
+    """Warn if units seem to differ between records: motion per input differs much, motion or input alone hardly."""
     for chain, driver in itertools.product(roles.chains, roles.inputs):
         name = next(filter(None, chain.measured), driver)
         spreads = np.array([[np.nanstd(record[name]), np.nanstd(record[driver])] for record in records])
@@ -125,7 +125,7 @@ def warn_of_terms(design: Design, log: WarningLog) -> None:
         )
     if design.dropped:
         listed = some_of([f"{one.name} ({one.reason})" for one in design.dropped], 48, "; ")
-        log.warn(f"terms left out: {listed}: other motion, or other units, would tell", TermWarning)
+        log.warn(f"terms left out: {listed}: measure other motion, or use other units", TermWarning)
 
 
 # A sum of states changes if its means over PARTS parts of each record differ with a p value (F test) below CHANCE, and

@@ -98,11 +98,11 @@ def discover(
     records : Record, path, DataFrame, mapping of str to array_like, object with `u`, `y`, or sequence of such
         Measured channels (`bayeq.records.as_record`); several records of the same system are used together.
     chains : sequence of str, optional
-        A coordinate and its measured derivatives each: ``"x:v:a"``, ``"x::"``, ``"x"`` (first order). In ``"::a"``,
-        only the acceleration measured, the coordinate is called x; where another chain or an input has that name, as
-        in ``["::a1", "::a2"]``, x_a1 and x_a2. ``"~q::a"`` names it q. ``"~r:"`` is a hidden state
-        of first order, whose law is found among the terms of its own dictionary; ``"~x2::"`` a coordinate without any
-        channel (a hidden mass), which terms have in differences alone.
+        Each is a coordinate with its measured derivatives: ``"x:v:a"``, ``"x::"``, ``"x"`` (first order). In ``"::a"``
+        only the acceleration is measured, and the coordinate is called x; if another chain or an input has that name,
+        as in ``["::a1", "::a2"]``, x_a1 and x_a2. ``"~q::a"`` names it q. ``"~r:"`` is a hidden state of first order,
+        whose law is found among the terms of its own dictionary; ``"~x2::"`` is a coordinate without any channel (a
+        hidden mass), which terms may contain in differences only.
     displacement, velocity, acceleration : str, optional
         Channels of one oscillator's chain, instead of `chains`.
     force : str, optional
@@ -110,9 +110,9 @@ def discover(
     inputs : sequence of str
         Channels of further inputs.
     target : str or sequence of str, optional
-        Channels that are no derivatives: F of a damper as a function of x and v, ``target="F", inputs=["x", "v"]``.
-        The law of each is static: it is not integrated. ``"F1,F2"`` are two. Beside chains, that of F may use their
-        states. Without chains families of terms, as ``"polynomial:3"``, are made of the inputs.
+        Channels that are not derivatives, as the force of a damper: ``target="F", inputs=["x", "v"]``. Each has a
+        static law, which is not integrated. ``"F1,F2"`` are two targets. If there are chains too, a static law may use
+        their states; otherwise families of terms, as ``"polynomial:3"``, are functions of the inputs.
     dictionary : str, sequence of str, mapping of str to these, or feature library of PySINDy
         ``"oscillator"`` (eq. (31)), ``"polynomial:3"``, ``"fourier:2"``, ``"neighbours"``, a file of terms, or terms;
         ``"oscillator + sin(x) - x**5"`` joins families and terms, and leaves some out. With a mapping,
@@ -295,8 +295,8 @@ def question_of(**asked: Any) -> Question:
     terms, allowed, roles = with_law_terms(*dictionaries_of(dictionary, roles, variables), roles)
     if gain_sd and roles.hidden:
         raise InputError(
-            "gain_sd: what a sensor's factor does to a hidden state is not known; leave it out, and scale the channel"
-            " by what is known"
+            "gain_sd: the effect of a sensor's factor on hidden states is not known; leave it out, and scale the"
+            " channel by the factor that is known"
         )
     known = (given.constraints,) if isinstance(given.constraints, str) else tuple(given.constraints)
     parse_ties(known, terms, roles.targets, allowed=allowed)
@@ -492,13 +492,13 @@ def _whole_streams(streams: Iterable[Stream]) -> tuple[Extent, ...]:
 
 def _whole(question: Question, extents: tuple[Extent, ...], executor: Executor, folder: Any) -> Whole:
     if question.roles.hidden:
-        raise NotStreamed("hidden states are not known from row to row of long records; choose some rows (--rows)")
+        raise NotStreamed("hidden states need the record in memory; choose some rows (--rows)")
     if question.roles.discrete:
         raise NotStreamed("maps need the record in memory; choose some rows (--rows)")
     if any(chain.static for chain in question.roles.chains):
         raise NotStreamed("static laws need the record in memory; choose some rows (--rows)")
     if question.roles.timed:
-        raise NotStreamed("a term uses t, the time, which is not known from row to row of long records; use some rows")
+        raise NotStreamed("a term that uses t, the time, needs the record in memory; choose some rows (--rows)")
     proportional = any(share_of_reading(amount) is not None for amount in question.noise.values())
     if question.band is not None or question.tails == "student" or proportional:
         raise NotStreamed(

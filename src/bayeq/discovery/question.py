@@ -199,8 +199,8 @@ class Question:
             return [motion]
         if self.whole is not None or self.smooth != "auto" or not motion.smoothing:
             raise InputError(
-                "law: hidden states are found by the likelihood of the record in memory: use smooth='auto', time, more"
-                " rows, and choose rows (--rows) of a long file"
+                "law: hidden states are found by the likelihood of a record in memory: use smooth='auto', and give time"
+                " and enough rows; of a long file choose some rows (--rows)"
             )
         laws = [one if one.law is None else one.with_law(terms[self.terms.index(one.law)]) for one in self.roles.hidden]
         roles = motion.roles.with_chains([*motion.roles.chains, *laws])
@@ -217,7 +217,7 @@ class Question:
         names, odds = some_of([one.state for one in hidden], 30), hidden[0].log_odds_without
         message = f" is not needed (odds without it {odds_text(odds)}): leave it out, or drive the system harder"
         if found.verdict.kind == "nearly true" and not hidden[0].stated:
-            message = ": no law of it was found by which the equations say more than without it; offer it other terms"
+            message = ": no law of it was found that makes the equations better than without it; offer it other terms"
         elif not math.isfinite(odds):
             message = " is not needed: no fit has it in an equation; leave it out, or give narrower ranges of constants"
         log.warn(f"hidden {names}{message}", DataWarning)

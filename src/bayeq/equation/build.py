@@ -94,8 +94,8 @@ def build_equations(
             if equation.shown and not former.shown and equation.verdict.kind != "none":
                 verdict = Verdict(
                     "not determined",
-                    f"only all rows together ask for {', '.join(equation.shown)}: without those held out no candidate"
-                    " term is in the equation",
+                    f"only all rows together support {', '.join(equation.shown)}: without the rows held out no"
+                    " candidate is in the equation",
                     "a longer record would tell",
                 )
             equation = replace(equation, train=former.train, held_out=former.held_out, verdict=verdict, scored=former)
@@ -180,7 +180,7 @@ def _of_hidden(regression: Regression) -> Verdict:
     """The verdict on the found law of a hidden state: only whether it is determined; equations with it are judged."""
     z, target = regression.chain.names[0], regression.chain.target
     if isinstance(regression, RecordRegression) and regression.record.flat:
-        same = f"sums of {z} and other terms in place of {z} say the same of what is measured"
+        same = f"sums of {z} and other terms, in place of {z}, predict the same measurements"
         return Verdict("not determined", same, f"give {target} fewer terms")
     return Verdict("found", f"{z} is judged by the equations that it is in")
 
@@ -224,8 +224,8 @@ def with_doubts(
 
 
 def _of_noise(selection: Selection) -> dict[str, Verdict]:
-    """Verdicts by target on equations of which a coefficient depends on whether inputs have noise: the record does not
-    tell that from a random force."""
+    """Verdicts, by target, on equations with a coefficient that depends on whether inputs have noise or a random force
+    acts, which the record does not show."""
     regression, found = selection.fit.regression, dict[str, Verdict]()
     other = regression.record.with_exact_inputs(regression.motion) if isinstance(regression, RecordRegression) else None
     for c, chain in enumerate(regression.motion.roles.chains):
@@ -233,7 +233,7 @@ def _of_noise(selection: Selection) -> dict[str, Verdict]:
         if other is not None and apart > CONTRADICTED:
             name = regression.design.terms[j].text if j < len(regression.design.terms) else "the constant"
             inputs = ", ".join(other.inputs)
-            reason = f"as likely is a random force and no noise of {inputs}, with {name} {value:.4g}"
+            reason = f"a random force and no noise of {inputs} are as likely, with {name} {value:.4g}"
             found[chain.target] = Verdict("not determined", reason, f"give the noise of {inputs} (--noise)")
     return found
 
@@ -292,7 +292,7 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
     refused = [_beyond(name, *one) for name, one in beyond.items()]
     refused += [_stated(equation, *one) for one in _against_stated(equation, selection)]
     if refused and verdict.kind != "none":
-        return Verdict("not determined", f"the record contradicts {some_of(refused, 60)}", "check units, or drop that")
+        return Verdict("not determined", f"the record contradicts {some_of(refused, 60)}", "check units, or drop it")
     if isinstance(regression, RecordRegression) and regression.record.rivals and verdict.kind != "none":
         other = ", ".join(f"{name} = {value:.4g}" for name, value in regression.record.rivals[0].items())
         return Verdict("not determined", f"as likely with {other}", "give narrower ranges, as in {a: 0.1..1}")
@@ -393,7 +393,7 @@ def doubted(
 
 
 def _spare(equation: Equation, points: int) -> int:
-    """Points of a map's cycle beyond those that any law with as many coefficients as the equation passes through."""
+    """Points of a map's cycle, less the number that some law with as many coefficients can always pass through."""
     return points - len(equation.shown) - equation.intercept_matters
 
 
@@ -507,7 +507,7 @@ def warnings_of(equation: Equation, selection: Selection) -> Said:
         record = regression.record if isinstance(regression, RecordRegression) else None
         free = None if record is None else record.unstated(regression.k, one[0])
         said = f"it says {one[-1] if free is None else free:.4g}"
-        yield f"the record contradicts {_stated(equation, *one)}: {said}; check both, or drop that", DataWarning
+        yield f"the record contradicts {_stated(equation, *one)}: {said}; check both, or drop it", DataWarning
     force = _against(equation, regression.motion.roles.inputs)
     if force is not None:
         against = f"{force} acts against {equation.chain.names[0]}"

@@ -173,8 +173,8 @@ def physical_parameters(
     """Parameters of an oscillator given the included terms of its equation; see `bayeq.Equations.physical`.
 
     `span` is the smallest and largest displacement of the record; without it the position of rest is taken to be zero.
-    `without` are states whose effect is left out: the natural frequency says so, and there are no modes.
-    InputError: neither a power of the displacement nor damping, a mass that is not positive, units that do not fit.
+    If the effect of states is left out, `without`, the natural frequency says so, and there are no modes. InputError if
+    there is neither a power of the displacement nor damping, for a mass not above 0, or inconsistent units.
     """
     coefficients, position = _read(law, draws, seed, span)
     forces = [force for force in forces_of(law.chain) if force.term in coefficients]

@@ -82,7 +82,7 @@ class PipCurve:
         return self.left_out <= INFERENCE.most_left_out
 
     def table(self) -> pd.DataFrame:
-        """A row per value and term: the value, under `axis_name`; rows, where they vary; term, pip and left_out."""
+        """A row for each value and term; columns: `axis_name` (the value), rows (if they vary), term, pip, left_out."""
         import pandas as pd
 
         terms = len(self.names)

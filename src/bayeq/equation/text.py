@@ -205,7 +205,7 @@ def _differences(equation: Equation, score: str) -> list[str]:
         listed = [f"{equation.terms[j].text} {round_to(own[j], sd[j])}" for j in far]
         if listed:
             out.append(
-                f"by the likelihood alone, were what is left out a force that knows nothing of the motion:"
+                f"by the likelihood alone, as if what is left out were a force independent of the motion:"
                 f" {', '.join(listed)} (likelihood_ci95)"
             )
     return out
@@ -237,7 +237,7 @@ def _print_table(
         left_out.insert(0, extra.pop())
     console.print(table)
     if left_out:
-        console.print(f"\n{' and '.join(left_out)}: not shown, for want of width")
+        console.print(f"\n{' and '.join(left_out)}: not shown: the terminal is too narrow")
 
 
 def unseen(equation: Equation, most: int = MOST_UNDETERMINED, advice: str = "") -> list[str]:

@@ -58,7 +58,7 @@ class Window(NamedTuple):
     """Median errors of free runs over windows, over the spread and noise of the states in the whole motion.
 
     Runs of chaotic motion, or near an unstable rest, leave the record however right the equation is: the unit of
-    `unexplained` is larger by the distance of runs from noisy first states with other coefficients of the posterior.
+    `unexplained` is larger by the distance of runs with first states and coefficients drawn from their distributions.
     """
 
     error: float
@@ -184,8 +184,8 @@ def suspecting(verdict: Verdict, found: Suspect, seconds: float) -> Verdict:
 def with_kinks(verdict: Verdict, kinks: Kinks, pulses: bool) -> Verdict:
     """The verdict, at best nearly true, where a function that no candidate has makes the law likelier.
 
-    It is no reason for doubt by itself in an input of motion with `pulses`, whose courses between samples look like it,
-    nor the cause where there is no equation. In another channel it is the cause if it leaves nearly nothing.
+    In an input with `pulses`, whose interpolation between samples looks like a kink, it is no reason for doubt by
+    itself, nor the cause if there is no equation. In another channel it is the cause if it leaves nearly nothing.
     """
     at = " and ".join(f"{place:.2g}" for place in kinks.places)
     kind = "a kink" if kinks.alone else "a function that bends"
@@ -205,7 +205,7 @@ CLIPPED = "is clipped in"
 
 
 def with_clipping(verdict: Verdict, name: str, share: float) -> Verdict:
-    """The verdict, at best nearly true, where samples of a channel miss at its peaks and so not at random."""
+    """The verdict, at best nearly true, where a channel lacks samples at its peaks, and so not at random."""
     said = f"{name} {CLIPPED} {in_digits(100.0 * share)} % of its rows"
     larger = "measure it in a larger range"
     if verdict.kind in ("none", "not determined"):

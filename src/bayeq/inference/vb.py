@@ -315,7 +315,7 @@ def spike_slab_vb(
         best_w, best = w, run
     mu, sigma, index, shape, rate, trace = best
     if not len(trace):
-        raise InputError("D'D of the starting models is not positive semi-definite: no Gram of real rows is so")
+        raise InputError("D'D of the starting models is not positive semi-definite, as that of real rows always is")
     kept = np.flatnonzero(best_w[index] > 0.5)
     support = np.zeros(len(best_w), dtype=np.bool_)
     support[index[kept]] = True

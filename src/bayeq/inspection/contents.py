@@ -444,7 +444,7 @@ def _say_undecided(guess: Guess, clues: Mapping[str, Clue], notes: list[str], op
             f" {'a coordinate' if second else 'a state'} of its own: {options(own, *guess.chains)}"
         )
     elif guess.chains and not guess.inputs:
-        notes.append("no channel is known to be a force: without one the motion is taken as free")
+        notes.append("no channel is known to be a force: the motion is taken to be free")
 
 
 def _read_in_python(reading: Reading) -> str:

@@ -249,7 +249,7 @@ def _described(experiments: Experiments, name: str, reading: Reading) -> RecordI
 def _in_one_unit(
     guess: Guess, channels: Mapping[str, ChannelInfo], stated: Mapping[str, str]
 ) -> Iterator[tuple[str, str]]:
-    """Units by which channels of several masses, of which differences are taken, get the unit of the first mass."""
+    """Units that convert the channels of several masses to the unit of the first, since terms are their differences."""
     for alike in zip(*guess.chains, strict=False) if len(guess.chains) > 1 and len(guess.chains[0]) == 3 else ():
         known = [(name, channels[name].unit) for name in alike if name is not None and channels[name].unit]
         for name, unit in known[1:]:

@@ -259,8 +259,8 @@ def correlations(record: Record, names: Sequence[str]) -> dict[frozenset[str], f
 def twins(record: Record, alike: Mapping[frozenset[str], float]) -> set[frozenset[str]]:
     """Pairs of channels that measure one motion: correlated, and what is left of one given the other is no motion.
 
-    It is noise, or at most a level of the coarser one. Masses in one mode are as well correlated, but a motion is left.
-    The rate stands for a lag; its own derivative would stand for the inertia of a second mass.
+    It is noise, or at most one level of the coarser channel. Masses in one mode are as well correlated, but leave a
+    motion. The rate stands for a lag; its own derivative would stand for the inertia of a second mass.
     """
     out = set()
     for pair in (pair for pair, largest in alike.items() if largest > SAME):

@@ -287,7 +287,7 @@ def _ends(part: str, table: Mapping[str, int]) -> list[str]:
 
 
 def _stem(part: str, table: Mapping[str, int]) -> str:
-    """What stands before the words at the end of a compound: pendel of pendelwinkelgeschwindigkeit; or nothing."""
+    """A compound without the words of the table that end it, as pendel of pendelwinkelgeschwindigkeit; else empty."""
     stem = part
     while ends := _ends(stem, table):
         stem = stem.removesuffix(max(ends, key=len))
@@ -415,7 +415,7 @@ def _exchanged(name: str, links: Sequence[Link], clues: Mapping[str, Clue]) -> l
 
 
 def _agreeing(links: Sequence[Link], clues: Mapping[str, Clue]) -> list[tuple[int, Link]]:
-    """Links with a grade: -1 if names agree, 0 if unknown, 1 if names disagree; without links against units."""
+    """Links with a grade: -1 if names agree, 0 if unknown, 1 if they disagree; contradicted links are left out."""
     counts = Counter(clue.order for clue in clues.values())
 
     def contradiction(link: Link) -> int:
@@ -503,7 +503,7 @@ def _chains(
     reasons: dict[str, str],
 ) -> list[tuple[str | None, ...]]:
     """The chains of links, completed by units and names, and new chains of the remaining channels."""
-    # symbols such as v and w are ambiguous: velocities only with a link, if links could be found
+    # symbols such as v and w are ambiguous: if links could be found, they are velocities only with a link
     motion = [
         n for n in rest if clues[n].order in (0, 2) or (clues[n].order == 1 and not (compared and clues[n].symbol))
     ]

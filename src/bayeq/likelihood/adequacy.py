@@ -316,7 +316,7 @@ def _length(task: Task, state: State, c: int) -> float:
     levels, d = state.levels, task.layout.discrepancy[c]
     memory = levels.memory.copy()
     memory[c] = LIKELIHOOD.shortest_memory
-    # smoothed, a tiny discrepancy of the least memory is proportional to the score by a force at each sample
+    # a tiny discrepancy of the least memory, smoothed, is proportional to the score for a force at each sample
     little = replace(levels.with_discrepancy(c, 0.0), memory=memory)
     found = task.marginal(replace(state, levels=little))
     smoothed = adjoints(task.linearised(state), little, found, found.delta)

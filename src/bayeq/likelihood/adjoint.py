@@ -1,4 +1,4 @@
-"""The adjoint of the filter: derivatives of the log likelihood by all variances, and the smoothed path.
+"""The adjoint of the Kalman filter: derivatives of the log likelihood with respect to all variances; smoothed path.
 
 The recursion is that of Koopman and Shephard (1992). It is stored in the rows of one array as the filter is: adjoints
 of the data and of the coefficients, then their information N.

@@ -1,4 +1,4 @@
-"""The likelihood of all rows about a fit to some of them: sums over blocks, and noise levels and spectra from these.
+"""The likelihood of all rows, expanded about a fit to some: sums over blocks give noise levels and spectra.
 
 About the fit the log likelihood is quadratic in coefficients and levels together. Its gradient and the information on
 coefficients are sums over all rows; its other second derivatives are differences over the rows that were fitted.

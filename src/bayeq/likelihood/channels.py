@@ -1,8 +1,8 @@
 """Factors and lags of channels, estimated by the likelihood; and tests for channels that are off.
 
-A channel whose factor is uncertain measures ``(1 + g) s`` of a signal s, which the path gives: filtering s by itself
-gives the derivative of the innovations by g, as the columns of the candidates give those by the coefficients. There is
-one g for all records.
+A channel whose factor is uncertain measures ``(1 + g) s`` of a signal s, which the path gives: filtering s alone gives
+the derivative of the innovations with respect to g, as filtering the candidates' columns does for coefficients. There
+is one g for all records.
 
 A lag is a constant state (`bayeq.likelihood.layout`) with a prior: coefficients, levels, evidence and selection are
 those with the lags integrated out. A channel is linear in its lag only if the lag is short; so estimated lags are
@@ -208,7 +208,7 @@ class _Directions(NamedTuple):
 
     @property
     def alone(self) -> tuple[Floats, Floats]:
-        """Each error if there is no other, and twice the log likelihood that it gains, (G,) each."""
+        """Each error as if it were the only one, and twice the log likelihood that it gains, (G,) each."""
         values = self.slope / np.maximum(np.diagonal(self.information), np.finfo(np.float64).tiny)
         return values, values * self.slope
 
@@ -218,7 +218,7 @@ class _Directions(NamedTuple):
         return bool(own * other - both**2 < SAME * own * other)
 
     def beside(self, weights: Floats) -> _Directions:
-        """The directions, and the sum of them with these weights, (G,)."""
+        """The directions, followed by their sum with these weights, (G,)."""
         all_of = np.column_stack([np.eye(len(weights)), weights])
         return self._replace(
             changes=self.changes @ all_of,

@@ -1,4 +1,4 @@
-"""The courses of inputs between samples (their interpolation): others are tried, and taken if clearly likelier."""
+"""Courses, interpolations of inputs between samples: others are tried, and one that is clearly likelier is kept."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from bayeq.states import Motion
 
 
 class Tried(NamedTuple):
-    """A fit with some course of an input."""
+    """A fit with one course (interpolation) of an input."""
 
     task: Task
     fitted: Fitted
@@ -34,7 +34,7 @@ class Tried(NamedTuple):
 
 
 def with_other_inputs(motion: Motion, task: Task, best: Fitted) -> tuple[Task, Fitted]:
-    """The fit, or one with other courses of inputs between samples if the motion is then clearly likelier.
+    """The fit, or one with other courses (interpolations) of inputs if these make the motion clearly likelier.
 
     Another course may move coefficients by more than noise does: `Task.between` gets their second moments over courses.
     If channels may be late, or there are hidden states, terms and constants can compensate for a wrong course, so that

@@ -1,8 +1,8 @@
-"""Noise of an input, or a random force: what the record may not tell apart, with other coefficients.
+"""Noise of an input, or process noise: a record may not tell which, and coefficients differ between the two.
 
-The noise of an input that is itself a random sequence is not seen in its samples, and drives the motion as a force that
-is new at every sample does. Where both explain the record as well, the coefficient of the input is known only up to the
-factor by which its noise weakens it.
+The noise of an input that is itself a random sequence is not visible in its samples, and drives the motion like a force
+that is independent from sample to sample. Where both explain the record equally well, the coefficient of the input is
+known only up to the factor by which its noise weakens it.
 """
 
 from __future__ import annotations

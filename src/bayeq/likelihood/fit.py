@@ -47,7 +47,7 @@ class State:
     blurs: tuple[Blur, ...] = ()  # widths of the jumps in each record; empty where no error of the paths is known
 
     def towards(self, other: State, share: float = 0.5) -> State:
-        """The state at a share of the way to another one of the same model; levels are those of this one."""
+        """The state a share of the way towards another one of the same model; its levels stay."""
         paths = tuple(one + share * (two - one) for one, two in zip(self.paths, other.paths, strict=True))
         return replace(self, theta=self.theta + share * (other.theta - self.theta), paths=paths)
 
@@ -165,7 +165,7 @@ def marginal(
     """The likelihood with the chosen coefficients integrated out under N(0, 1/precision); `keep` as in `run_filter`.
 
     `bent`, (r,), are the derivatives of the log determinant by the chosen coefficients, from `improved`: the linearised
-    model is without them, and would gain by coefficients that the likelihood does not have.
+    model lacks them, and would favour coefficients that the likelihood does not.
     """
     filtered = tuple(run_filter(linear, state.chosen, levels.noise, keep) for linear in linears)
     q = quadratic(filtered) + of_stated(levels.layout.stated, state.chosen, state.theta)
@@ -308,8 +308,8 @@ def with_more_noise(
 ) -> Levels | None:
     """The levels with noise of channels that have hardly any, if that gains more than `least` nats; otherwise None.
 
-    The `slopes` of the log likelihood by the logarithms of variances, (M,), vanish with the variances: a search that
-    came there, on the way from a wrong law, would stay, and discrepancies would follow every sample.
+    The `slopes`, (M,), of the log likelihood in the log variances vanish with the variances: a search that a wrong law
+    has led there would stay, and discrepancies (process noise) would follow every sample.
     """
     variance = np.concatenate([one.variance for one in found.filtered])
     innovations = variance.sum(axis=0) / np.maximum((variance > 0.0).sum(axis=0), 1)
@@ -331,7 +331,7 @@ def bent_by(
     found: Sequence[Adjoint],
     filtered: Sequence[Filtered] | None = None,
 ) -> tuple[Determinant, Floats]:
-    """Derivatives of the log determinant; and those by the chosen coefficients (r,), the path following these.
+    """Derivatives of the log determinant; also those by the chosen coefficients, (r,), which the path follows.
 
     `filtered` are the records with the columns of these coefficients, if they are there. Where the correction of the
     coefficients, in their standard deviations, would be larger than on a fixed path, as at the fold of a map, the

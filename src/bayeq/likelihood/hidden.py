@@ -83,8 +83,8 @@ def _at_peaks(
     nodes: Sequence[int],
     inner: Sequence[str] = (),
 ) -> list[Motion]:
-    """The motion with hidden states at the likeliest values of `constants`, from a grid refined about its peaks; none
-    is at an end of the constants `inner`. Empty if the laws are finite for no values."""
+    """The motion with hidden states at the likeliest values of `constants`, from a grid refined about its peaks; peaks
+    at an end of the constants `inner` are left out. Empty if the laws are finite for no values."""
 
     def values(at: Sequence[float]) -> dict[str, Unknown]:
         return {one.name: replace(one, value=to_plain(one, x)) for one, x in zip(constants, at, strict=True)}
@@ -107,7 +107,7 @@ def _at_peaks(
 def _peaks(
     score: Callable[[Sequence[float]], float], places: Sequence[Floats], inner: Bools
 ) -> list[tuple[float, ...]]:
-    """Maxima of a score: peaks of a grid, refined between adjacent nodes; none is at an end of axes `inner`, (n,)."""
+    """Maxima of a score: peaks of a grid, refined between its nodes; none at an end of axes `inner`, (n,), counts."""
     from scipy.ndimage import maximum_filter
     from scipy.optimize import minimize
 
@@ -194,8 +194,8 @@ def with_first_paths(motion: Motion, roles: Roles, terms: Sequence[Expression], 
     """The motion with first paths of a hidden state whose law is to be found, one for each start of a search.
 
     A path is the residual of a regression, without the state, of the equation in which the state is a factor, plus
-    shares of the terms of spring and damper if there are any. A state in differences alone starts on springs and a
-    damper.
+    shares of the terms of spring and damper if there are any. A state that is in differences alone starts as a
+    coordinate on springs and a damper.
     """
     (chain,) = roles.hidden
     seen = seen_in(chain, roles, terms, allowed)

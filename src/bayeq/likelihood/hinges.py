@@ -1,9 +1,8 @@
-"""Kinks that no candidate has: whether functions max(x - g, 0) of a state belong into the law.
+"""Kinks that no candidate has: whether the law needs functions max(x - g, 0) of a state.
 
 Powers, signs and absolute values fit a kink, as of a spring that meets a stop, to within the noise, and then no test of
-what is left finds anything; but the slope at rest is not that of the spring. So the models of the candidates are
-compared with those that have hinges at quantiles of a state or input, and its sign, beside them, by the likelihood
-about the fit.
+what is left finds anything; but the slope at rest is not that of the spring. So the likelihood about the fit compares
+the models of the candidates with models that also have hinges at quantiles of a state or input, and its sign.
 """
 
 from __future__ import annotations
@@ -50,7 +49,7 @@ class Kinks(NamedTuple):
 
 
 class _Proposal(NamedTuple):
-    """The likeliest laws with hinges of one argument, by the likelihood about a fit without."""
+    """The likeliest laws with hinges of one argument, by the likelihood about a fit without hinges."""
 
     argument: Expression
     gain: float

@@ -117,7 +117,7 @@ class Layout:
 
     @cached_property
     def last(self) -> Ints:
-        """Number of the state below each chain's highest derivative, (C,); for a static law the chain before's."""
+        """Number of the state below each chain's highest derivative, (C,); for a static law that of chain c - 1."""
         return np.cumsum([chain.order for chain in self.roles.chains], dtype=np.int64) - 1
 
     @cached_property
@@ -222,7 +222,7 @@ class Layout:
 
     @cached_property
     def everything(self) -> Candidates:
-        """All terms and the constant of every equation, in turn."""
+        """The terms and the constant of each equation, one equation after the other."""
         width = len(self.terms) + 1
         index = np.arange(self.chains * width, dtype=np.int64)
         return Candidates(index // width, index % width)

@@ -283,8 +283,8 @@ def fit(task: Task, state: State, coarse: bool = False, calm: int = 0) -> Fitted
         if abs(found.value - before) < SETTLED and 0.5 * length**2 < FLAT and taken >= calm:
             break
         before = found.value
-    # without it the linearised model would gain by coefficients that the likelihood does not have, where noise of
-    # inputs weakens these; under much noise of states alone exact laws are found more often with it
+    # where noise of inputs weakens coefficients, the linearised model without `bent` favours some that the likelihood
+    # does not; with much noise of states alone exact laws are found more often without `bent`
     counted = bent if layout.roles.inputs else None
     found = task.marginal(state, False, counted)
     # if steps oscillate, the gain that the next one predicts is not realised; coarse fits have not converged anyway

@@ -138,7 +138,7 @@ def _node(
 ) -> GridNode:
     """A node where models have the terms `forced`, pairs of equation and term, and their derivatives by constants.
 
-    After its own terms the `task` has derivatives, of a term by a constant each, by `names`.
+    The `task` has its own terms, then derivatives, each of one term by one constant, numbered by `names`.
     """
     P, C = len(task.layout.terms), task.layout.chains
     odds = task.log_odds.reshape(C, -1)
@@ -296,8 +296,8 @@ def with_values(
 
 
 def with_terms(motion: Motion, task: Task, terms: tuple[Expression, ...]) -> Task:
-    """The task with terms of other values. Priors change as the variances of the terms do in the rows of the motion, so
-    that other terms keep theirs: priors may be widened, or those of fewer rows."""
+    """The task with terms of other values. Their priors are scaled with their variances in the rows of the motion.
+    Other terms keep theirs, which may have been widened, or be those of fewer rows."""
     layout = replace(task.layout, terms=terms)
     former = precision_of_terms(motion, task.layout)
     ratio = task.precision / np.where(former > 0.0, former, np.nan)  # a term may be constant at the former values

@@ -1,8 +1,8 @@
 """The likelihood along a constant inside terms where it is not normal: along a bent ridge, or to the end of its range.
 
-Two constants, or a constant and coefficients, may do nearly the same, and what the record fixes of them bends away from
-the tangent at the likeliest point. There intervals come from fits with the constant held at several values; at each the
-coefficients and the other constants are normal.
+Two constants, or a constant and coefficients, may have nearly the same effect: the combinations that the record allows
+then bend away from the tangent at the likeliest point. There intervals come from fits with the constant held at several
+values; at each the coefficients and the other constants are normal.
 """
 
 from __future__ import annotations

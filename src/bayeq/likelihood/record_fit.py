@@ -60,7 +60,7 @@ class RecordFit:
     posterior: Posterior  # over the models of all equations, in units of the coefficients' priors
     nearly: Nearly  # sizes of the functions that the equations lack, and probabilities that they lack none
     likeliest: float = -np.inf  # evidence of the likeliest model that was fitted: the posterior is about that one
-    # whether the likelihood is that about the model; if the model could not be fitted it is that about another one
+    # whether the likelihood is expanded about this model; not if it could not be fitted, but another one was
     own: bool = True
     # a model, and the sums over all rows about it, if the series hold only some rows
     more: tuple[Bools, Block] | None = None
@@ -75,7 +75,7 @@ class RecordFit:
         soft = soft_of(task, fitted)
         found = cls(task, fitted, *averaged(task, fitted, soft), fitted.evidence)
         if fitted.power == 1.0 and not max(found.nearly.exact) < LIKELIHOOD.nearly_true:
-            # not if a law is only nearly true: more terms are then likelier under an exact law, which says nothing
+            # not if a law is only nearly true: as an exact law more terms are likelier, which is no evidence for them
             task, best = among_neighbours(task, fitted)
             soft, fitted = soft if best is fitted else soft_of(task, best), best
             found = cls(task, best, *averaged(task, best, soft), best.evidence)

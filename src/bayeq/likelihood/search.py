@@ -39,7 +39,7 @@ ROUNDS = 8
 # Shares of the candidates, those of the smallest expressions, that are searched first.
 SIMPLEST = (0.25, 0.5)
 
-# About how many samples the growth of deviations from the path is checked at.
+# Approximate number of samples at which the growth of deviations from the path is checked.
 CHECKED = 500
 
 # All candidates together are a start if there are at most this many.

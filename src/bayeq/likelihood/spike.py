@@ -80,8 +80,8 @@ def softened(level: float, root: Floats, c: Floats, spread: Floats) -> Quadratic
     """The likelihood about p coefficients with deviations N(0, S S') integrated out, S = `spread`, (p, K).
 
     It is given as its level, the information A = F F' with `root` F, (p, r), and the slope F c (`coordinates`). With
-    F'S = U diag(s) V' the result has the information F (I - U U') F' + F U diag(1/(1 + s^2)) U' F'. The equal
-    A - A S (I + S'A S)^-1 S'A is rounding if noise is low.
+    F'S = U diag(s) V' the result has the information F (I - U U') F' + F U diag(1/(1 + s^2)) U' F'. The equivalent
+    A - A S (I + S'A S)^-1 S'A loses all digits if noise is low.
     """
     U, s, _ = np.linalg.svd(root.T @ spread, full_matrices=False)
     left, inside = 1.0 / (1.0 + s**2), root @ U
@@ -448,7 +448,7 @@ SAME = 1e-9
 
 
 def _spans_the_same(information: Floats, chosen: Bools, move: Move) -> bool:
-    """Whether a model spans the same functions of the motion after a move: its likelihood is then that before."""
+    """Whether a model spans the same functions of the motion before and after a move: its likelihood then stays."""
     pair = [k for k in (move.leaves, move.enters) if k is not None]
     rest = [k for k in np.flatnonzero(chosen).tolist() if k not in pair]
     unit = 1.0 / np.sqrt(np.maximum(np.diagonal(information), np.finfo(np.float64).tiny))

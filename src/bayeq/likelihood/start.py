@@ -63,8 +63,8 @@ def start_from(
 ) -> tuple[Task, tuple[Start, ...]]:
     """The task of a dictionary on the training rows of a motion, and the starts of its fits.
 
-    These are the regression of the smoothed rows, with half as many terms again and again as long as no fit can begin
-    from it, and the motion with only stated laws. Arguments are those of `bayeq.likelihood.record_fit.fit_record`.
+    These are the regression of the smoothed rows, whose number of terms is halved until a fit can begin from it, and
+    the motion with only stated laws. Arguments are those of `bayeq.likelihood.record_fit.fit_record`.
     """
     roles, pieces = motion.roles, motion.train
     known = _known_noise(motion)

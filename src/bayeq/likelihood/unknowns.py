@@ -1,10 +1,10 @@
 """Constants inside terms: values that make the record likeliest, and how well these are known.
 
-A constant psi of the terms of an equation has a column as a coefficient has one, sum_j theta_j d phi_j / d psi, on the
-logarithm where it is a scale. Its values are first sought on a grid: in the smoothed rows, then in the likelihood of
-all candidates about a fit. From the best of them Gauss-Newton steps move constants, coefficients and path together.
-Constants have flat priors over their ranges, so that a term with one costs ln(range / (sqrt(2 pi) sd)) of its odds:
-it is not favoured for being flexible. Of an either-or one member at a time is in the dictionary; the others are
+Like a coefficient, a constant psi inside the terms of an equation has a column, sum_j theta_j d phi_j / d psi, with ln
+psi in place of psi if it is a scale. Its values are first sought on a grid: in the smoothed rows, then in the
+likelihood of all candidates about a fit. From the best of them Gauss-Newton steps move constants, coefficients and path
+together. Constants have flat priors over their ranges, so that a term with one costs ln(range / (sqrt(2 pi) sd)) of its
+odds: it is not favoured for being flexible. Of an either-or one member at a time is in the dictionary; the others are
 fitted in its place, and the likeliest is kept.
 """
 
@@ -146,7 +146,7 @@ def _beside_a_series(
 ) -> tuple[Task, Fitted, dict[str, float]]:
     """The fit, or one with either a family or other functions of its variables; log posteriors of those that are close.
 
-    Of the close ones that with fewest terms is taken. Many terms together may be a series expansion of the family, in
+    Of these the one with the fewest terms is taken. Many terms together may be a series expansion of the family, in
     which case the likelihood about the fit gives no reason to include the family.
     """
     terms = task.layout.terms
@@ -379,7 +379,7 @@ def moved(task: Task, fitted: Fitted, motion: Motion | None = None) -> tuple[Tas
 
 
 def stepped(task: Task, state: State, held: str = "") -> tuple[tuple[Task, State], float]:
-    """A Gauss-Newton step of a fit and its constants; how far the farthest of these goes, in standard deviations. The
+    """A Gauss-Newton step of a fit and its constants; the largest step of a constant, in standard deviations. The
     constant `held` stays.
 
     Coefficients are those likeliest at the former constants, in proportion to the size of their terms at the new ones:

@@ -44,7 +44,7 @@ class RecordSettings:
     least_delay: float = setting(0.2, "A delay is reported from this on.", "set on simulated records", "samples")
     least_gain: float = setting(1.03, "A gain is reported from this factor on.",
         "set on simulated records; one record (pendulum: 5 % gain)")
-    significant: float = setting(4.0, "... and each of them if it is so far from nothing.",
+    significant: float = setting(4.0, "... and each only if it differs from none by this many standard errors.",
         "set on simulated records", "se")
     least_fit: float = setting(0.9, "Two channels are not a signal and its derivative where sign and delay explain a "
         "smaller share of the coherent signal.", "set on simulated records")
@@ -116,22 +116,22 @@ class LikelihoodSettings:
         "and no better.", unit="sd")
 
     # Levels: noise, discrepancies and the course of inputs between samples
-    shortest_memory: float = setting(0.02, "Of a discrepancy this much is left after a sample, at least; in fits "
-        "twice of it: it is nearly white.")
-    longest_memory: float = setting(0.999, "Of a discrepancy this much is left after a sample, at most: nearly "
+    shortest_memory: float = setting(0.02, "Least memory of a discrepancy, its lag-1 autocorrelation: nearly white. "
+        "In fits the bound on the memory is at least twice this.")
+    longest_memory: float = setting(0.999, "Largest memory of a discrepancy, its lag-1 autocorrelation: nearly "
         "constant.")
-    memory_share: float = setting(0.4, "In fits a discrepancy forgets in this share of the motion's own time, "
-        "sd(x)/sd(dx/dt): one of longer memory relaxes as a law does and replaces it, one of shorter memory leaves a "
-        "slow force that nobody measured to false terms.", "`memory.csv`")
-    least_discrepancy: float = setting(1e-8, "Of discrepancies, a share of the target's variance; octaves that have "
-        "less, more than white noise, are compared with nothing: rounding and integration of channels without noise.",
+    memory_share: float = setting(0.4, "In fits a discrepancy remembers at most this share of the motion's own "
+        "time, sd(x)/sd(dx/dt): one of longer memory relaxes as a law does and replaces it, one of shorter memory "
+        "leaves a slow force that nobody measured to false terms.", "`memory.csv`")
+    least_discrepancy: float = setting(1e-8, "Least variance of a discrepancy, as a share of the target's; less excess "
+        "power over white noise is ignored in an octave: rounding and integration of channels without noise.",
         "`forces.csv`")
-    most_course: float = setting(1.0, "What courses of inputs between samples err by, at most, as a share of the "
-        "square of their bends: none is further off than a straight line.", "`forces.csv`")
-    first_course: float = setting(1e-2, "... and at first.", "`forces.csv`")
+    most_course: float = setting(1.0, "Largest interpolation error variance of inputs between samples, over the "
+        "square of their bends: no course is further off than a straight line.", "`forces.csv`")
+    first_course: float = setting(1e-2, "... and its first value.", "`forces.csv`")
     input_noise: float = setting(2.5e-3, "Variance of an input's noise at first, as a share of its own, where its "
-        "spectrum does not tell it and where another course is tried: from less a discrepancy explains what is "
-        "noise.")
+        "spectrum does not show it and where another course is tried: a fit that starts from less takes the noise "
+        "for a discrepancy.")
 
     # The search over models
     neighbour_window: float = setting(6.0, "Models one flip or swap away within this on the Gram matrix are fitted; "
@@ -141,7 +141,7 @@ class LikelihoodSettings:
         "`kinks.csv`")
     least_kink: float = setting(0.25, "A kink is named from this share of the largest change of slope on.",
         "`kinks.csv`")
-    neighbours: int = setting(8, "... at most this many of them from each model.", "set on simulated records")
+    neighbours: int = setting(8, "Neighbours of a model that are fitted, at most.", "set on simulated records")
     most_growth: float = setting(3.0, "A first model is cut down where a deviation from the path grows by more than "
         "this factor in a sample, or a step ends further from the path in standard deviations: no motion that was "
         "sampled does that.", unit="times")

@@ -313,7 +313,7 @@ def _gains(record: Record, measured: Sequence[tuple[int, str]], links: Sequence[
     if counts_rows(record):
         (low, p), (high, q) = measured[:2]
         rate = (links[0].gain / stated[0]) ** (1.0 / (high - low))
-        message = f"{p} and {q} go together at {rate:.4g} samples per second, if their units do: give the rate"
+        message = f"{p} and {q} go together at {rate:.4g} samples per second, if their units are right: give the rate"
         yield Finding("gain", (q, p), message, links[0].gain)
         return
     steps = [math.log(link.gain / expected) for link, expected in zip(links, stated, strict=True)]

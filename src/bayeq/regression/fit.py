@@ -241,7 +241,7 @@ def _moments_given_in(whole: Posterior) -> tuple[Floats, Floats]:
     return mean, np.sqrt(np.maximum(square - mean**2, 0.0))
 
 
-# Standard deviation of the coefficient 1 of a stated law.
+# Prior standard deviation of a coefficient that is 1, as of a stated law.
 EXACTLY = 1e-6
 
 # Methods that average over the models of all equations together.

@@ -408,7 +408,7 @@ REPEATED = 0.1
 def calibrated(regression: Regression, posterior: Posterior, basis: Floats) -> Posterior:
     """The posterior, in original units, with the uncertainty of the sensors' calibration in its covariances.
 
-    To first order, coefficients change with a factor by the regression, on the terms, of the target's change less that
+    To first order, a factor changes the coefficients by the regression on the terms of: the target's change, less that
     of the sum of the terms. `basis`, (r, f), are the derivatives of the coefficients by the free ones.
     """
     names, known = regression.factors
@@ -466,7 +466,7 @@ def inputs_of_hidden_noise(regression: Regression, posterior: Posterior) -> tupl
 
 
 def _may_hide_noise(pieces: Sequence[Floats]) -> bool:
-    """Whether a channel could hold white noise of `hidden_noise`: no held command, and nowhere a lower spectrum."""
+    """Whether a channel could hold white noise of `hidden_noise`: no held command, no lower power anywhere."""
     repeated = sum(int(np.count_nonzero(np.diff(values) == 0.0)) for values in pieces)
     if repeated > REPEATED * sum(map(len, pieces)):
         return False

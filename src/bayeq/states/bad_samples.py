@@ -380,7 +380,7 @@ def _standing_out(judged: Sequence[Sequence[_Verdict]]) -> list[tuple[int, Place
 
 
 def _judged(series: ChainSeries, model: KinematicModel, least: Floats) -> list[_Verdict]:
-    """Places of a record where samples err; it is by spikes if no sample nearby errs once they are left out."""
+    """Places of a record where samples err; spikes are the cause if no sample nearby errs without them."""
     errors = leave_one_out(series, model)
     factor = _factor(errors)
     before = _standard(errors) / factor

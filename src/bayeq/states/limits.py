@@ -1,7 +1,7 @@
 """Inputs that rest at their extremes: a sensor is clipped there, or an actuator has reached its limit.
 
-The motion tells. Where a sensor is clipped the force is larger than the samples say, and the motion responds to the
-rest: the highest derivative of a chain, regressed on its states, their cubes and squares with a sign, the inputs, and
+The motion decides which. Where a sensor is clipped the force exceeds its samples, and the motion responds to the
+excess: the highest derivative of a chain, regressed on its states, their cubes and squares with a sign, the inputs, and
 the sign of the extreme that an input is at, has a coefficient of the latter. Inputs go through the smoother that the
 derivative is from, since it rounds edges. The standard error is that of clusters of rows, from one visit of an extreme
 to the next: what the regression lacks is correlated in time (docs/tables/limits.csv).

@@ -345,8 +345,8 @@ ROUNDING_NOISE = 1e-4
 # Eigenvalues of the covariance of neighbouring samples smaller than this share of the largest are rounding.
 ROUNDING = 1e-13
 
-# Differences of this order are mostly noise. Those of the steps of a running integral leave less than the share
-# INTEGRATED beside those of what was integrated: 0.00 of sums and of trapezoids, 0.83 to 1.00 of a sensor of its own.
+# Differences of this order are mostly noise. Of those of the steps of a running integral, regression on those of the
+# integrand leaves less than INTEGRATED: 0.00 for sums and trapezoids, 0.83 to 1.00 for a separate sensor.
 DIFFERENCES, INTEGRATED, LEAST_STEPS = 8, 0.05, 40
 
 

@@ -197,10 +197,10 @@ def likeliest_instead(
 ) -> Posterior | None:
     """The likeliest model of equation k, whose regression is `fit`, if the included terms misrepresent the average.
 
-    They do if their predictions differ from those of the average by more than the tolerance, and those of the likeliest
-    model by less than theirs, or if their free runs are worse than those of the average by more than it, and those of
-    the likeliest model are not worse than theirs (rule 2). `found` are the posteriors of every equation given its
-    included terms; `runs` gives errors of free runs, None without time.
+    They do if their predictions differ from those of the average by more than the tolerance, and more than those of the
+    likeliest model do; or if their free runs are worse than those of the average by more than the tolerance, and no
+    better than those of the likeliest model (rule 2). `found` are the posteriors of every equation given its included
+    terms; `runs` gives errors of free runs, None without time.
     """
     included = found[k]
     if included.average is None or included.averaged is None or not len(included.average.models):

@@ -51,12 +51,12 @@ def path_sizes(problem: Problem, most: int | None = None) -> range:
 def best_of_each_size(
     problem: Problem, most: int | None = None, starts: Iterable[Bools] = (), limits: Floats | None = None
 ) -> list[tuple[Bools, float]]:
-    """The model with the highest log posterior (34) among those of each size, from the smallest on, with ln p(y, z).
+    """The model of each size with the highest log posterior (34), the smallest first, each with its ln p(y, z).
 
-    Up to 14 free terms, without limits (P, 2), all models are evaluated. Otherwise the best few models of each size are
-    kept, and their neighbours by a term more, a term less or a swap evaluated, until none of these is better (a forward
-    and backward selection with exchanges, Pudil, Novovicova and Kittler 1994, on the exact posterior); `starts`, (P,)
-    bool each, are further models to start from. Sizes are those of `path_sizes`.
+    With at most 14 free terms and no limits (P, 2) all models are evaluated. Otherwise the best few of each size are
+    kept, and the models that have a term more, a term less or a term swapped are evaluated, until none is better (a
+    forward and backward selection with exchanges, Pudil, Novovicova and Kittler 1994, on the exact posterior);
+    `starts`, (P,) bool each, are further models to start from. Sizes are those of `path_sizes`.
     """
     sizes = path_sizes(problem, most)
     if limits is None and int(np.isfinite(problem.log_odds).sum()) <= ENUMERATE:
