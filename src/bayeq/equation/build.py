@@ -271,7 +271,7 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
     verdict = doubted(equation, others, *regression.tests(), again, regression.counts_rows)
     late = _late(equation, regression.motion) if verdict.kind != "found" else None
     suspect = late or regression.suspect
-    # what a small lag leaves goes with a slope, and so seems to be a quarter of a period late: the likelihood knows it
+    # the residual of a small lag follows a slope, so that it looks a quarter of a period late: the likelihood knows it
     if regression.suspect is not None and regression.suspect.off in ("lag", "high-pass"):
         suspect = regression.suspect
     kinks, chain = regression.kinks, equation.chain

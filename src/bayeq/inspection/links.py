@@ -260,7 +260,7 @@ def twins(record: Record, alike: Mapping[frozenset[str], float]) -> set[frozense
     """Pairs of channels that measure one motion: correlated, and what is left of one given the other is no motion.
 
     It is noise, or at most one level of the coarser channel. Masses in one mode are as well correlated, but leave a
-    motion. The rate stands for a lag; its own derivative would stand for the inertia of a second mass.
+    motion. The rate in the regression allows for a lag; its derivative would allow for the inertia of a second mass.
     """
     out = set()
     for pair in (pair for pair, largest in alike.items() if largest > SAME):

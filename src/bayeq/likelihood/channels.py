@@ -129,7 +129,7 @@ def suspects_of(task: Task, state: State, here: Statistics) -> tuple[Suspect, ..
     if lagging:  # as a channel with AC coupling seems, which is early, or an input of motion that is measured with it
         corners, gains = _directions(task, state, here, [(sought[k][0], "high-pass") for k in lagging]), found.alone[1]
         for k, value, gain, share in zip(lagging, *corners.alone, corners.shares, strict=True):
-            # the same innovations are explained: what makes a lag less certain does so with a corner
+            # a corner explains the same innovations: what makes a lag less certain makes it less certain too
             sds = named[k].sds * math.sqrt(gain / gains[k])
             if sds > SUSPECTED and abs(value) * share > AS_SAID:
                 coupled[named[k].channel] = _coupled(layout, named[k], float(value) / (2.0 * math.pi), sds)
@@ -146,7 +146,7 @@ def _contradicted(layout: Layout, found: _Directions, sought: Sequence[tuple[int
     squares, out = np.maximum(np.diagonal(found.information), np.finfo(np.float64).tiny), dict[int, Suspect]()
     values, _ = found.alone
     for k in np.flatnonzero(np.abs(values) * found.shares > AS_SAID).tolist():
-        # noise that is not white makes the slope less certain: by how much, the scores of the corrected channel show
+        # the scores of the corrected channel show by how much noise that is not white makes the slope less certain
         change, (i, off) = found.changes[..., k], sought[k]
         scores = (change * (found.left - values[k] * change)).sum(axis=1, keepdims=True) / np.sqrt(squares[k])
         excess, _ = excess_of(np.split(scores, found.ends))
@@ -157,9 +157,9 @@ def _contradicted(layout: Layout, found: _Directions, sought: Sequence[tuple[int
 
 
 def _coupled(layout: Layout, lagging: Suspect, corner: float, sds: float) -> list[Suspect]:
-    """AC-coupled channels: the one of a lag or, if the corner [Hz] is negative, all others, which it is compared with.
+    """The channel of a lag as AC-coupled; if the corner [Hz] is negative, all channels of the motion instead.
 
-    These are the channels of the motion if it is an input, and each coordinate has one channel.
+    The latter need a lag of an input, and one channel for each coordinate; otherwise there are none.
     """
     measured = [chain.measured for chain in layout.roles.chains]
     alone = [name for names in measured for name in filter(None, names)]

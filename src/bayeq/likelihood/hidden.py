@@ -150,7 +150,7 @@ class Seen(NamedTuple):
 
 
 def seen_in(chain: Chain, roles: Roles, terms: Sequence[Expression], allowed: Bools) -> list[Seen]:
-    """The term in which a hidden state is a factor, preferably by itself, which sets its scale; else all differences.
+    """The term with a hidden state as a factor, preferably the state alone, which sets its scale; else all differences.
 
     An InputError says that there is neither, or that a state of second order occurs other than in differences.
     """
@@ -213,7 +213,7 @@ def with_first_paths(motion: Motion, roles: Roles, terms: Sequence[Expression], 
 
 
 def _on_springs(motion: Motion, roles: Roles, terms: Sequence[Expression], allowed: Bools) -> list[Motion]:
-    """The motion with paths of a coordinate on the springs and dampers with which other equations explain most."""
+    """The motion with paths of a hidden coordinate, on springs and dampers that let other equations explain most."""
     chain, beside, rows = roles.chains[-1], max(roles.seen.chains, key=lambda one: one.order), motion.train
     sizes = [np.concatenate([one.columns[name] for one in rows]).std() for name in (beside.target, beside.names[0])]
     pace = float(sizes[0] / sizes[1]) ** (1.0 / beside.order)
@@ -294,7 +294,7 @@ def _as_factor(
 
 
 def _rates(motion: Motion, terms: Sequence[Expression], paths: Sequence[Mapping[str, Floats]]) -> list[Floats]:
-    """Rate of a hidden state in each record: its path's changes regressed on integrals of its candidates, selected."""
+    """Rate of a hidden state in each record: regression of its path's changes on integrals of selected candidates."""
     from scipy.integrate import cumulative_trapezoid
 
     columns = [

@@ -63,8 +63,8 @@ def kinks_of(task: Task, fitted: Fitted, lacking: bool) -> dict[int, Kinks]:
     """Kinks, by the number of the equation, that make the laws clearly likelier and explain most of what they lack:
     those of a state or input, of a difference that is a candidate, or of neighbouring coordinates.
 
-    Unless laws are `lacking` what the motion needs, other functions of the same stand for the kinks. Hinges beside a
-    function with a constant inside would make up for the error of that constant: such arguments are not tried.
+    Unless laws are `lacking` what the motion needs, only arguments of which the fit has other functions are tried.
+    Those of a function with a constant inside are not: hinges would compensate for an error of that constant.
     """
     layout = task.layout
     if task.flows is not None or not np.isfinite(task.log_odds).any():

@@ -519,7 +519,7 @@ def _fitted(
 
 def _among_all_neighbours(pairs: Sequence[tuple[Task, Fitted]]) -> list[tuple[Task, Fitted]]:
     """Fits of a hidden state from several first paths, likeliest first, moved to better neighbours as long as the best
-    one leaves a discrepancy to be noticed: along a poor path the terms of its law are not seen."""
+    one leaves a noticeable discrepancy: along a poor path the terms of the law do not show."""
     found: list[tuple[Task, Fitted]] = []
     for task, fitted in sorted(pairs, key=lambda pair: -pair[1].evidence):
         found.append(among_neighbours(task, finished(task, fitted)))

@@ -219,7 +219,7 @@ def _with_inputs(layout: Layout, inputs: Sequence[_Input]) -> Layout:
 
 
 def with_courses(motion: Motion, task: Task, fitted: Fitted, k: int) -> Iterator[list[tuple[Task, State]]]:
-    """Tasks with other courses of input k, as smooth as it is and as a random sequence, and the fit as their starts."""
+    """Tasks with other courses of input k, as smooth as it is, then as a random sequence; all start from the fit."""
     if task.layout.discrete:
         return
     inputs, name = _inputs_of(fitted.state), task.layout.roles.inputs[k]

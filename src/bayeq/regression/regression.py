@@ -129,7 +129,7 @@ class Regression:
         return None
 
     def hides_noise(self, name: str) -> bool:
-        """Whether the noise of an input is not known from the record, here from the input's highest frequencies."""
+        """Whether the record hides the noise of an input, which would show at the input's highest frequencies."""
         return not shows_noise([rows.columns[name] for rows in self.motion.train])
 
     def reported(self, found: Posterior, basis: Floats, limits: Floats | None, free: bool) -> Posterior:
@@ -466,7 +466,7 @@ def inputs_of_hidden_noise(regression: Regression, posterior: Posterior) -> tupl
 
 
 def _may_hide_noise(pieces: Sequence[Floats]) -> bool:
-    """Whether a channel could hold white noise of `hidden_noise`: no held command, no lower power anywhere."""
+    """Whether a channel could hold white noise of `hidden_noise`: it is not held, as a command, and nowhere weaker."""
     repeated = sum(int(np.count_nonzero(np.diff(values) == 0.0)) for values in pieces)
     if repeated > REPEATED * sum(map(len, pieces)):
         return False

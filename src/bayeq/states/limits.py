@@ -17,13 +17,13 @@ import numpy as np
 from bayeq.arrays import Bools, Floats
 from bayeq.states.kinematic.smoother import ChainSeries, KinematicModel, smooth_kinematic
 
-# The coefficient is that of a clipped sensor if it is this many standard errors from zero, and that of the input too.
+# A sensor is clipped if this coefficient and that of the input are both this many standard errors from zero.
 SIGNIFICANT = 3.0
 
 # A mean excess of the force over its samples below this share of their standard deviation does not matter.
 LEAST_EXCESS = 0.05
 
-# Samples that are at most this share of a record are left out without this test, which costs nothing.
+# Samples at extremes are left out without this test if they are at most this share of a record: that costs nothing.
 FEW = 0.05
 
 

@@ -159,7 +159,7 @@ def output_error(
     if not found:
         assert failed is not None
         return failed
-    # as in `bayeq.likelihood.courses`, inputs are smooth unless the motion clearly tells otherwise
+    # as in `bayeq.likelihood.courses`, inputs are smooth unless the motion clearly shows otherwise
     excess = max(one.excess for one in found)
     logs = np.array([one.log_likelihood / excess - CLEARLY * (one.interpolation not in SMOOTH) for one in found])
     best, weights = found[int(np.argmax(logs))], np.exp(logs - np.logaddexp.reduce(logs))

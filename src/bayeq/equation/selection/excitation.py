@@ -33,7 +33,7 @@ FREQUENCIES, TIMES = 21, 4
 # Deviations from the points of a map's cycle are at most this share of a state.
 MOST_BESIDE = 0.5
 
-# A cycle of a map tells its equations apart from others by this many points beyond their coefficients.
+# A map's cycle distinguishes its equation from others if it has this many more points than coefficients.
 SPARE = 2
 
 # Points of the closed curve; prior variance of a coefficient over that of the target, as in the record's likelihood.

@@ -68,7 +68,7 @@ class ChainSmoothing:
         padded = np.pad(values, ((reach, reach), (0, 0)), mode="reflect", reflect_type="odd")
         size = len(padded)
         gain = self.gain(np.asarray(np.fft.rfftfreq(size, 1.0 / self.fs), dtype=np.float64))
-        # the mean passes, also where the coordinate was integrated
+        # the smoother passes the mean, also where the coordinate was integrated
         gain[0] = 1.0
         filtered = np.fft.irfft(gain[:, None] * np.fft.rfft(padded, axis=0), size, axis=0)
         return np.asarray(filtered[reach : reach + n])
