@@ -199,7 +199,7 @@ class Question:
             return [motion]
         if self.whole is not None or self.smooth != "auto" or not motion.smoothing:
             raise InputError(
-                "law: hidden states are found by the likelihood of a record in memory: use smooth='auto', and give time"
+                "law: hidden states are found by the likelihood of the record in memory: use smooth='auto', give time"
                 " and enough rows; of a long file choose some rows (--rows)"
             )
         laws = [one if one.law is None else one.with_law(terms[self.terms.index(one.law)]) for one in self.roles.hidden]
