@@ -291,6 +291,7 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
     beyond = selection.fit.beyond_bounds
     refused = [_beyond(name, *one) for name, one in beyond.items()]
     refused += [_stated(equation, *one) for one in _against_stated(equation, selection)]
+    refused += [f"the known sign of {name}" for name in _against_signs(selection)]
     if refused and verdict.kind != "none":
         return Verdict("not determined", f"the record contradicts {some_of(refused, 60)}", "check units, or drop it")
     if isinstance(regression, RecordRegression) and regression.record.rivals and verdict.kind != "none":
@@ -457,6 +458,12 @@ def _against_stated(equation: Equation, selection: Selection) -> Iterator[tuple[
             yield j, mean, sd, value
 
 
+def _against_signs(selection: Selection) -> list[str]:
+    """Terms whose known signs the record contradicts, or whose bounds it contradicts only together with other terms."""
+    fit = selection.fit
+    return [name for name in fit.posterior.details.contradicted if name not in fit.beyond_bounds]
+
+
 def _runners_up(fit: RegressionFit, posterior: Posterior) -> tuple[RunnerUp, ...]:
     if isinstance(fit.regression, RecordRegression) and fit.regression.record.task.flows is not None:
         return ()  # odds of one equation by itself do not keep the conserved sum
@@ -513,7 +520,7 @@ def warnings_of(equation: Equation, selection: Selection) -> Said:
         against = f"{force} acts against {equation.chain.names[0]}"
         yield f"{against}: reverse it, if a force (--scale {force}=-1)", DataWarning
     beyond = selection.fit.beyond_bounds
-    contradicted = [name for name in details.contradicted if name not in beyond]
+    contradicted = _against_signs(selection)
     if contradicted:
         what = "sign" if selection.fit.constraints.bounds is None else "sign or bound"
         of = some_of(contradicted, 16)
