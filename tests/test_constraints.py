@@ -453,3 +453,21 @@ def test_wrong_text_ends_in_one_line(duffing, arguments, capsys):
     assert captured.out == ""
     assert captured.err.startswith("bayeq: error: ")
     assert captured.err.count("\n") == 1
+
+
+def test_a_law_that_a_contradicted_sign_makes_wrong_is_not_found():
+    """Without v the terms left free make up for the damping: no other test speaks against them."""
+    rec = bq.simulate("duffing", n=2000, seed=3)
+    eq = quietly(rec, dictionary="x, v, x**2, x**3, u", constraints=["v >= 0"])
+    assert (eq.verdict.kind, eq.verdict.reason) == ("not determined", "the record contradicts the known sign of v")
+    assert quietly(rec, dictionary="x, v, x**2, x**3, u", constraints=["v <= 0"]).verdict.kind == "found"
+
+
+@pytest.mark.parametrize("term", ["x2-x1", "(x2-x1)**3", "tanh(x2-x1)"])
+def test_channels_in_two_units_of_one_quantity_are_not_subtracted(term):
+    rng = np.random.default_rng(1)
+    channels = {name: rng.standard_normal(200) for name in ("x1", "x2", "u")}
+    record = bq.Record.from_arrays(channels, fs=10.0, units={"x1": "m", "x2": "mm"})
+    asked = {"chains": ["x1::", "x2::"], "inputs": ["u"], "dictionary": f"x1, {term}, u"}
+    with pytest.raises(InputError, match=r"x2 is in mm, x1 in m; give both in one unit, .* --units x2='0.001 m'"):
+        bq.discover(record, **asked)

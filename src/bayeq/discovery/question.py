@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 
@@ -30,7 +30,7 @@ from bayeq.equation.build import build_equations, warn_of, with_doubts
 from bayeq.equation.equation import Equation
 from bayeq.equation.equations import Equations
 from bayeq.equation.selection.select import Rules, Selection, select
-from bayeq.equation.written import arguments_with_units, channel_units, in_radians, odds_text
+from bayeq.equation.written import arguments_with_units, channel_units, in_radians, odds_text, unlike_summands
 from bayeq.errors import DataWarning, InputError, RecordError, TermWarning, WarningLog, some_of
 from bayeq.expressions import Expression
 from bayeq.expressions.functions import CONSTANTS, TIME
@@ -44,6 +44,7 @@ from bayeq.likelihood.record_fit import RecordFit, refit_record
 from bayeq.numerics.settings import LIKELIHOOD, SELECTION
 from bayeq.records import Record, counts_rows
 from bayeq.records.findings import check_messages, without_copies
+from bayeq.records.names import conversion
 from bayeq.records.record import in_one_unit
 from bayeq.records.repair import UNKNOWN_TIME
 from bayeq.regression.constraints import CONSERVED, Constraints, parse_constraints, parse_ties
@@ -137,6 +138,7 @@ class Question:
             return replace(self, conserve="", conserved={}).answer(records, changing)
         before = len(log.collected)
         units = _units(pieces, motion.roles, log)
+        _require_one_unit(self.terms, units, self.roles.channels)
         terms, known = _in_radians(self.terms, self.known, units, log)
         motion, *others = self._with_hidden(motion, terms)
         terms = self._with_values(with_values_of(terms, motion), motion)
@@ -553,6 +555,18 @@ def _in_radians(
         others = f" ({len(found) - 1} more alike)" if len(found) > 1 else ""
         log.warn(f"{text}: its argument has the unit {unit}{others}: leave it, or use a ratio without one", TermWarning)
     return written, tuple(known)
+
+
+def _require_one_unit(terms: Sequence[Expression], units: Mapping[str, str], channels: Collection[str]) -> None:
+    """Raise InputError for the sum or difference of channels in two units of one quantity, such as mm and m."""
+    for term in terms:
+        for left, right in unlike_summands(term, units):
+            name, other = (left, right) if left in channels else (right, left)
+            stated = f"{conversion(units[name], units[other]):.6g} {units[other]}"
+            way = f", {name} by units={{{name!r}: {stated!r}}}, --units {name}='{stated}'" if name in channels else ""
+            raise InputError(
+                f"term {term.text!r}: {name} is in {units[name]}, {other} in {units[other]}; give both in one unit{way}"
+            )
 
 
 def _require_unambiguous(terms: Sequence[Expression], records: Sequence[Record], roles: Roles) -> None:

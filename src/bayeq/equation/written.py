@@ -21,7 +21,7 @@ from bayeq.expressions import Binary, Call, Constant, Expression, Negate, Node, 
 from bayeq.expressions.functions import TIME
 from bayeq.expressions.nodes import arguments_of, with_arguments
 from bayeq.expressions.symbolic import step_latex
-from bayeq.records.names import Unit, derivative_ratio, in_si, multiply_units, parse_unit, written_unit
+from bayeq.records.names import Unit, conversion, derivative_ratio, in_si, multiply_units, parse_unit, written_unit
 from bayeq.states import Chain
 
 # A constant at this many times the lower end of its range, or one over this times the upper end, is far beyond it.
@@ -154,6 +154,23 @@ def arguments_with_units(term: Expression, units: Mapping[str, str]) -> Iterator
             fine = RADIANS + DEGREES if node.function in OF_ANGLES else RADIANS
             if unit is not None and unit not in fine:
                 yield written_unit(unit)
+
+
+def unlike_summands(term: Expression, units: Mapping[str, str]) -> Iterator[tuple[str, str]]:
+    """Pairs of channels of which a term holds the sum or difference though one is in another unit of the same quantity.
+
+    >>> from bayeq.expressions import parse
+    >>> list(unlike_summands(parse("(x2-x1)**3"), {"x1": "m", "x2": "mm"}))
+    [('x2', 'x1')]
+    """
+    parts = [term.tree]
+    while parts:
+        node = parts.pop()
+        parts += arguments_of(node)
+        match node:
+            case Binary("+" | "-", Symbol(left), Symbol(right)) if left in units and right in units:
+                if conversion(units[left], units[right]) not in (None, 1.0):
+                    yield left, right
 
 
 def _is_plain(path: Sequence[Node]) -> bool:
