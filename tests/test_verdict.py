@@ -116,10 +116,10 @@ def test_what_decides(r2, noise, window, kind):
 )
 def test_what_decides_on_a_target_that_is_estimated(r2, noise, share, kind, why):
     fit = Fit(1000, r2, np.sqrt(1 - r2))
-    verdict = judge("a", fit, True, noise, Window(0.6, 0.3), True, share)
+    verdict = judge("a", fit, True, noise, Window(0.6, 0.3), share)
     assert verdict.kind == kind
     assert why in verdict.reason
-    assert judge("a", fit, True, noise, Window(1.0, 1.0), True, share).kind == "none"
+    assert judge("a", fit, True, noise, Window(1.0, 1.0), share).kind == "none"
 
 
 def solved(rate, start, seconds, rows):

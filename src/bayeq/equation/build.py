@@ -143,7 +143,7 @@ def build_equation(selection: Selection, window: Window | None) -> Equation:
         if inside != seen
     }
     target, numbers = regression.chain.target, _numbers(regression)
-    verdict = judge(target, judged, by_rest, noise, window, regression.through_motion, share, numbers)
+    verdict = judge(target, judged, by_rest, noise, window, share, numbers)
     # residuals follow the states whose errors they are
     followed = () if isinstance(verdict, ByRuns) else (*motion.roles.inputs, *motion.roles.states)
     residuals = regression.residuals(shown, followed)

@@ -111,8 +111,7 @@ def judge(
     fit: Fit,  # R2 and errors of the equation; both sides are smoothed alike if the target is estimated
     held_out: bool,  # whether the fit is on the rows held out, not on the training rows
     noise: float,  # share of the target's variance that is noise, or error of its estimate, as far as it is known
-    window: Window | None,  # error of free runs over windows, from `window_errors`
-    target_estimated: bool = False,  # whether a smoother estimated it: free runs decide if it is hardly above its error
+    window: Window | None,  # error of free runs over windows, which decide where noise hides the target
     share: float = 1.0,  # the target's variance on these rows as a share of that over the whole motion
     numbers: float = 1.0,  # independent values in a row of the target
 ) -> Verdict:
@@ -128,7 +127,7 @@ def judge(
     if r2 < -NOTHING:
         explained = f"R2 {r2:.2g}, worse than the mean"
     above = r2 / signal if signal > limit else r2
-    by_runs = target_estimated and window is not None and not signal > limit
+    by_runs = window is not None and not signal > limit
     if max(above, r2) < EQUATION.least_r2 and not by_runs:
         failed = f"the terms explain little of {target} on {where} ({explained}{of_all})"
         return Verdict("none", f"no equation found: {failed}")

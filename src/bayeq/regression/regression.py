@@ -114,11 +114,6 @@ class Regression:
         """Standard deviation of the discrepancy as a share of the target's; None for rows."""
         return None
 
-    @property
-    def through_motion(self) -> bool:
-        """Whether the target is not measured, so that the likelihood knows it only by the motion that it leads to."""
-        return False
-
     def tests(self) -> tuple[Discrepancy | None, Octave | None, Change | None]:
         """A discrepancy that is needed, innovations that are not white, a coefficient that changes; None for rows."""
         return None, None, None
@@ -307,11 +302,6 @@ class RecordRegression(Regression):
     @property
     def discrepancy(self) -> float | None:
         return float(self.record.kappa[self.k])
-
-    @property
-    def through_motion(self) -> bool:
-        """Whether the target is not measured."""
-        return self.chain.measured[-1] is None
 
     def tests(self) -> tuple[Discrepancy | None, Octave | None, Change | None]:
         adequacy = self.record.adequacy
