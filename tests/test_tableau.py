@@ -306,3 +306,15 @@ def test_a_search_ends_where_rounding_spoils_all_gains():
     listed = search_models(Problem.of(gram, Prior(slab_variance=1.0)))
     assert listed.left_out > 0.5
     assert listed.inclusion is None
+
+def test_a_forbidden_term_that_depends_on_the_active_ones_spoils_nothing():
+    """Of two coordinates x1 and x2 an equation has x1 and x2-x1 as candidates; x2 is for the other equation."""
+    rng = np.random.default_rng(3)
+    x1, x2 = rng.standard_normal((2, 1000))
+    D = 1e6 * np.column_stack([x1, x2 - x1, x2, x1**3])
+    gram = Gram.from_data(D, D[:, :2] @ [1.0, 2.0] + rng.standard_normal(1000))
+    prior = Prior(slab_variance=1.0, prior_inclusion=np.array([0.1, 0.1, 0.0, 0.1]))
+    p = Problem.of(gram, prior)
+    T = swept(p, np.array([True, True, False, False]))
+    assert not drifted(p, T)
+    assert search_models(p).left_out < 1e-3

@@ -199,10 +199,12 @@ def strayed(p: Problem, T: Tableau, yty: float, ridges: Floats, floor: float) ->
         if T.row[j] >= 0:
             # the residual of the normal equations, in units of a t-value of the column alone
             error, pivot = pull[j] - ridges[j] * T.partial[j], -1.0 / T.diagonal[j]
-        else:
+        elif p.log_odds[j] > -math.inf:
             error, pivot = pull[j] - T.partial[j], T.diagonal[j]
             if not abs(own[j] - pivot) <= DRIFT * pivot:
                 return True
+        else:  # a term that never enters may be as good as dependent on the active ones
+            continue
         if not abs(error) <= DRIFT * math.sqrt(pivot * s):
             return True
     return False
