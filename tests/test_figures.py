@@ -223,6 +223,10 @@ def test_nothing_is_clipped_or_overlaps(coulomb, duffing):
         ("x2*abs(x2)", r"$x_{2}\,|x_{2}|$"),
         ("-c2/m", "$-c_{2}/m$"),
         ("1/m", "$1/m$"),
+        ("x2-x1", "$x_{2} - x_{1}$"),
+        ("(x2-x1)**3", r"$\left(x_{2} - x_{1}\right)^{3}$"),
+        ("x1-x2", "$x_{1} - x_{2}$"),
+        ("dN", "$dN$"),
     ],
 )
 def test_terms_as_they_are_set(term, expected):

@@ -452,6 +452,14 @@ def test_figure(record, found):
     assert len(found.simulate(record, draws=0).plot().axes[0].collections) == 0
 
 
+@pytest.mark.parametrize(("band", "top"), [(0.5, 1.15), (8.0, 1.15 * 8.0), (1000.0, 1.15 * 20.0)])
+def test_the_panel_of_residuals_holds_the_band_unless_it_is_very_wide(band, top):
+    time, size = np.arange(50.0), np.ones(50)
+    low, high, measured = {"x": -band * size}, {"x": band * size}, {"x": (-1.0) ** time}
+    run = bq.Forecast(time, {"x": 0.0 * size}, low, high, 1, 0, None, {}, measured, {})
+    assert run.plot().axes[1].get_ylim() == pytest.approx((-top, top))
+
+
 def test_figure_without_matplotlib(monkeypatch, record, found):
     run = found.simulate(record, draws=0, rows=10)
     for name in [name for name in sys.modules if name.partition(".")[0] == "matplotlib"]:

@@ -401,6 +401,19 @@ def test_equations_are_written_as_a_person_writes_them(of_input: bq.Equations) -
     assert "time not known" not in str(of_input)
 
 
+def test_pictures_of_a_map_have_dots_and_no_samples_that_were_not_measured(of_input: bq.Equations) -> None:
+    pytest.importorskip("matplotlib")
+    record = driven(3, 0.02)
+    whole = bq.figures.measured_against_predicted(of_input, record).lines
+    drawn = np.concatenate([line.get_ydata() for line in whole if line.get_label().startswith("rows")])
+    assert np.isfinite(drawn).sum() == of_input.motion(record).known.sum() < record.n
+    _, lower = bq.figures.one_step(of_input, record)
+    assert not np.isfinite(lower.lines[-1].get_ydata()[-1])  # nothing follows the last sample
+    dots = bq.figures.phase_portrait(of_input, record, states=("x", "x")).lines
+    assert {line.get_linestyle() for line in dots[:3]} == {"None"}
+    assert bq.figures.spectra(of_input, record).get_ylabel() == "PSD of x [mm²/(1/row)]"
+
+
 def test_what_maps_are_not_asked_is_refused(of_input: bq.Equations) -> None:
     record = driven(3, 0.02)
     for ask in (lambda: of_input.refine(record), of_input.plan, of_input.physical):

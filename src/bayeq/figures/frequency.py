@@ -108,9 +108,11 @@ def spectra(eq: style.Answer, record: Record, ax: Any = None, *, channel: str | 
     last = TAIL * float(f[above_noise[-1]]) if len(above_noise) else fs
     highest, least = float(whole.max()), float(np.minimum(whole, left)[f <= last].min())
     ax.set(xlim=(0.0, min(last, fs / 2.0)), ylim=(max(0.1 * least, 1e-12 * highest), 3.0 * highest))
-    ax.set_xlabel(style.frequency_label(eq))
+    per = style.frequency_unit(eq)
+    ax.set_xlabel(f"frequency [{per}]")
     unit = eq.units.get(name, "")
-    ax.set_ylabel(style.plain(f"PSD of {name}" + (f" [{style.bracketed(unit)}²/Hz]" if unit else " [1/Hz]")))
+    unit = f"{style.bracketed(unit)}²/{style.bracketed(per)}" if unit else per[2:] or "1/Hz"
+    ax.set_ylabel(style.plain(f"PSD of {name} [{unit}]"))
     style.above(ax)
     return ax
 
@@ -186,7 +188,7 @@ def frequency_response(
     for one in third:
         one.set(ylabel="coherence", ylim=(0.0, 1.05))
     last = (third or [lower])[0]
-    across = f"{style.frequency_label(eq)}, resolved to {f[0]:.2g}"
+    across = f"frequency [{style.frequency_unit(eq)}], resolved to {float(f'{f[0]:.2g}'):g}"
     last.set(xscale="log", xlim=(float(f[0]), float(f[driven].max())), xlabel=across)
     style.log_ticks(last.xaxis)
     style.above(upper)

@@ -12,6 +12,7 @@ from bayeq.errors import InputError
 from bayeq.figures import style
 from bayeq.numerics.distributions import Z95
 from bayeq.records import Record
+from bayeq.states import MotionRows
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -30,6 +31,9 @@ DRAWN: dict[str, Any] = {"color": style.BLUE, "linewidth": 0.9}
 HEIGHTS = (56.0, 28.0)
 LOW = (30.0, 15.0)
 STATE = 40.0
+
+# A panel of residuals shows its band whole, up to this multiple of the largest residual, which would else be a line.
+WIDEST = 20.0
 
 # Share of a record that is drawn where no rows were held out.
 LAST = 0.2
@@ -62,12 +66,19 @@ def _residual(ax: Axes, time: Floats, measured: Floats, curve: Curve, label: str
     """Draw the residual, samples less a curve, and its band."""
     every = style.thinned(len(time))
     mean, *ends = curve
-    residual = measured - mean
-    reach = 1.15 * float(np.abs(residual[np.isfinite(residual)]).max(initial=0.0)) or 1.0
+    residual, ends = measured - mean, [None if end is None else end - mean for end in ends]
+    largest, widest = (_largest(*values) for values in ((residual,), ends))
+    reach = 1.15 * max(largest, min(widest, WIDEST * largest)) or 1.0
     ax.set(xlim=(float(time[0]), float(time[-1])), ylim=(-reach, reach))
     ax.axhline(0.0, color=style.BLACK, linewidth=0.5)
-    _band(ax, time[every], [None if end is None else end - mean for end in ends], every)
+    _band(ax, time[every], ends, every)
     ax.plot(time[every], residual[every], color=style.ORANGE, linewidth=0.9, label=f"residual: {of} less {label}")
+
+
+def _largest(*series: Floats | None) -> float:
+    """The largest size of a finite value, 0 without any."""
+    values = np.concatenate([np.zeros(1), *(one for one in series if one is not None)])
+    return float(np.abs(values[np.isfinite(values)]).max())
 
 
 def _curve(run: style.Run, name: str) -> Curve:
@@ -181,6 +192,11 @@ def free_run(
     return upper, lower
 
 
+def _observed(eq: style.Answer, rows: MotionRows, target: str) -> Floats:
+    """The target as it was observed; in a map only where the next sample and the earlier ones were."""
+    return np.where(rows.known, rows.observed[target], np.nan) if eq.roles.discrete else rows.observed[target]
+
+
 def _first_row(eq: style.Answer, n: int) -> int:
     """The first row that was held out, or that of the last fifth."""
     start = n - int((eq.data.holdout or LAST) * n)
@@ -235,7 +251,7 @@ def one_step(
     part = slice(first, last)
     mean, sd = equation.predict({name: values[part] for name, values in motion.columns.items()}, return_std=True)
     time = np.arange(first, last, dtype=np.float64) if motion.time is None else motion.time[part]
-    measured = motion.observed[equation.target][part]
+    measured = _observed(eq, motion, equation.target)[part]
     upper, lower = style.axes_for(ax, HEIGHTS, style.FULL_WIDTH, sharex=True)
     curve = (mean, mean - Z95 * sd, mean + Z95 * sd)
     _compare(upper, time, measured, curve, "one step", style.given_as(eq, equation.target))
@@ -278,7 +294,7 @@ def measured_against_predicted(eq: style.Answer, record: Record, ax: Any = None,
     """
     equation = style.equation_of(eq, target)
     rows = eq.motion(record)
-    measured = rows.observed[equation.target]
+    measured = _observed(eq, rows, equation.target)
     predicted = np.asarray(equation.predict(rows.columns))
     (ax,) = style.axes_for(ax, [70.0], style.SINGLE_COLUMN)
     every = style.thinned(rows.n)
@@ -350,10 +366,12 @@ def phase_portrait(
     x, y = (motion.columns[name] for name in chosen)
     times = np.arange(motion.n) if motion.time is None else motion.time
     same = (times >= run.time[0]) & (times <= run.time[-1])
-    ax.plot(x[style.thinned(motion.n)], y[style.thinned(motion.n)], color=style.PALE, linewidth=0.6, label="record")
-    ax.plot(x[same], y[same], **MEASURED | {"label": "record, rows of the run"})
+    # a map has points and no path
+    every, dots = style.thinned(motion.n), {"linestyle": "none", "marker": "."} if eq.roles.discrete else {}
+    ax.plot(x[every], y[every], color=style.PALE, linewidth=0.6, label="record", **dots)
+    ax.plot(x[same], y[same], **MEASURED | {"label": "record, rows of the run"} | dots)
     across, up = (run.mean[name][style.thinned(len(run.time))] for name in chosen)
-    ax.plot(across, up, label="free run", **DRAWN)
+    ax.plot(across, up, label="free run", **DRAWN | dots)
     ax.plot(across[:1], up[:1], "o", color=style.BLACK, markersize=3.6, label="start")
     for values, fit in ((x, ax.set_xlim), (y, ax.set_ylim)):
         low, high = float(values.min()), float(values.max())

@@ -228,13 +228,16 @@ def mathtext(expression: str, order: tuple[str, ...] = ()) -> str:
     # SymPy sorts factors by name: stand-ins bring them into the wanted order.
     stand_in = {sympy.Symbol(name): sympy.Symbol(f"A{k:03d}") for k, name in enumerate(order)}
     names = {stand: sympy.latex(symbol) for symbol, stand in stand_in.items()}
-    text = sympy.latex(to_sympy(parse(expression)).xreplace(stand_in), fold_short_frac=True, symbol_names=names)
+    shown, options = to_sympy(parse(expression)).xreplace(stand_in), {"fold_short_frac": True, "symbol_names": names}
+    text = sympy.latex(shown, **options)
+    if re.search(r"(^|[({])- ", text):  # x2 - x1, not -x1 + x2
+        text = sympy.latex(shown, order="rev-lex", **options)
     text = text.replace(r"\operatorname{sign}", r"\mathrm{sgn}").replace(" / ", "/")
     text = text.replace(r"\bmod", r"\,\mathrm{mod}\,").replace(r"\theta\left(", r"\mathrm{H}\left(")
     # matplotlib needs no brackets that grow, and sets them too wide
     text = re.sub(r"\{\\left\((\S+) \\right\)\}", r"(\1)", text)
     text = re.sub(r"\\left\|\{(\S+)\}\\right\|", r"|\1|", text)
-    text = re.sub(r"\b([a-z])([A-Z])\b", r"\1_{\2}", text)
+    text = re.sub(r"\b([a-ce-z])([A-Z])\b", r"\1_{\2}", text)
     text = text.replace(" |", r"\,|")
     return f"${re.sub('^- ', '-', text)}$"
 
@@ -354,10 +357,10 @@ def time_label(eq: Answer) -> str:
     return "row" if eq.data.rows_as_time else f"time [{eq.data.clock}]"
 
 
-def frequency_label(eq: Answer) -> str:
-    """Label of an axis of frequency."""
-    unit = "1/row" if eq.data.rows_as_time else "Hz" if eq.data.clock == "s" else f"1/{eq.data.clock}"
-    return f"frequency [{unit}]"
+def frequency_unit(eq: Answer) -> str:
+    """Unit of frequencies, in which the clock counts."""
+    clock = "row" if eq.data.rows_as_time else eq.data.clock
+    return "Hz" if clock == "s" else f"1/{clock}"
 
 
 def titled(ax: Axes, eq: Answer, target: str) -> None:
