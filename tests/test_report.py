@@ -17,10 +17,11 @@ import pytest
 
 import bayeq as bq
 from bayeq.cli.app import main
-from bayeq.equation.report.page import _wanted, as_bokeh, repeat_command, samples_hash
+from bayeq.equation.report.page import _wanted, as_bokeh, repeat_command, samples_hash, without_maths
 from bayeq.errors import InputError, MissingExtraError, UnknownNameError
 from bayeq.expressions import parse
 from bayeq.expressions.symbolic import mathml
+from bayeq.figures import style
 
 pytest.importorskip("matplotlib")
 pytest.importorskip("bokeh")
@@ -207,7 +208,7 @@ def test_several_equations_and_records(tmp_path, monkeypatch):
     eq.report(tmp_path / "out.html", records)
     text = Page((tmp_path / "out.html").read_text(encoding="utf-8")).text
     assert "Equations" in text
-    assert "Equation of motion: dx, dy" in text
+    assert "Governing equation: dx, dy" in text
     assert all(samples_hash(record) in text for record in records[-1:])
 
 
@@ -277,6 +278,27 @@ def test_live_pictures_hold_the_numbers_of_the_still_ones(eq, record):
     bars = as_bokeh([bq.figures.pip_bars(eq)])
     assert "x³" in bars.yaxis[0].major_label_overrides.values()
     assert bars.tools
+
+
+def test_ticks_of_few_decades_do_not_overlap_and_few_long_numbers_stand_below():
+    ax = style.new_panels(1, height=50.0)[1][0, 0]
+    ax.plot([-2e6, 2e6], [0.0008, 0.03])
+    ax.set_yscale("log")
+    plot = as_bokeh([ax])
+    ticks = [tick for tick in plot.yaxis[0].ticker.ticks if 0.0008 < tick < 0.03]
+    np.testing.assert_allclose(ticks, [0.001, 0.002, 0.005, 0.01, 0.02])
+    assert plot.xaxis[0].ticker.desired_num_ticks == 4
+    assert without_maths("$u_{C}$") == "uC"
+
+
+def test_what_pictures_and_checks_are_of_and_the_kind_of_law(page, eq, tmp_path, monkeypatch, record):
+    assert "Equation of motion: a" in page.text
+    assert "2 more candidates are not included, each with PIP below 0.01" in page.text
+    still = {"caption": "one", "still": "", "live": "", "narrow": True}
+    monkeypatch.setattr("bayeq.equation.report.page.pictures", lambda *_: ([still], []))
+    eq.report(tmp_path / "out.html", record)
+    text = Page((tmp_path / "out.html").read_text(encoding="utf-8")).text
+    assert f"from the {eq.data.n_train} rows that were not held out" in text
 
 
 def test_a_matrix_keeps_its_height_and_legends_have_room(eq, record):

@@ -30,7 +30,7 @@ from bayeq.equation.written import round_to
 from bayeq.errors import BayeqError, BayeqWarning, InputError, needing
 from bayeq.expressions.parse import EARLIER
 from bayeq.expressions.symbolic import mathml, number_mathml, step_mathml, symbol_mathml
-from bayeq.figures.style import UNSIGNED, given_as, require_matplotlib, style, unit_text
+from bayeq.figures.style import UNSIGNED, given_as, log_ticks, require_matplotlib, style, unit_text
 from bayeq.inference.engines import ENGINES, NOTEWORTHY_PIP
 from bayeq.records import Record
 from bayeq.records.io import replacing
@@ -92,7 +92,8 @@ def _wanted(eq: Answer, record: Record | None) -> Iterator[tuple[str, dict[str, 
             yield "coefficient_forest", which, f"Coefficients and their 95 % intervals, each over its own size{of}"
         if record is not None:
             yield "measured_against_predicted", which, f"{given_as(eq, one.target).capitalize()} against predicted{of}"
-            yield "one_step", which, f"One step: {one.target} by the states of the same row, and residual{of}"
+            by = "inputs" if one.chain.static else "states"
+            yield "one_step", which, f"One step: {one.target} by the {by} of the same row, and residual{of}"
             if len(one.terms) > 1:
                 yield "candidate_correlation", which, f"Correlation of the likeliest candidate terms{of}"
     if record is None:
@@ -135,6 +136,8 @@ MARKERS = {"o": "circle", ".": "circle", "s": "square", "D": "diamond", "+": "cr
 SCALE, AROUND = 4.0, 80
 # Characters of a legend that fit a row on a phone; pixels per cell of a matrix.
 LEGEND, SQUARE = 38, 30
+# Ticks of an axis, about: those of a horizontal one, such as -1.500e+6, have room on a phone.
+TICKS = {"x": 4, "y": 6}
 POINT = 96.0 / 72.0
 
 
@@ -144,7 +147,7 @@ def without_maths(label: str) -> str:
     >>> without_maths(r"$x^{2} v\\,|x|$"), without_maths(r"$\\mathrm{sgn}(v)$ [m/s]")
     ('x² v |x|', 'sgn(v) [m/s]')
     """
-    text = re.sub(r"_\{(\d+)\}", r"\1", label.replace(r"\$", "\0").replace(r"\,", " "))
+    text = re.sub(r"_\{(\w+)\}", r"\1", label.replace(r"\$", "\0").replace(r"\,", " "))
     text = re.sub(r"\\(?:mathrm|operatorname|mathit|left|right)(?![a-z])|[${}\\]", "", text)
     return unit_text(text).replace("\0", "$")
 
@@ -182,7 +185,7 @@ def _plot(ax: Any, x_range: Any) -> Any:
         _ticks(axis, model)
         model.axis_label_text_font_style, model.axis_label_standoff = "normal", 4
         if isinstance(model.formatter, BasicTickFormatter):
-            model.formatter.power_limit_low = -5  # 0.0004, not 4.000e-4
+            model.formatter.power_limit_low, model.formatter.power_limit_high = -5, 6  # 0.0004, not 4.000e-4
     shown = [*_images(plot, ax), *_bands(plot, ax), *_bars(plot, ax), *_lines(plot, ax)]
     for _, glyph, values in shown:
         if values:
@@ -198,10 +201,18 @@ def _plot(ax: Any, x_range: Any) -> Any:
 
 
 def _ticks(axis: Any, model: Any) -> None:
-    """Copy fixed ticks and their names from a matplotlib axis to the Bokeh axis `model`."""
+    """Copy fixed ticks and their names, and those of few decades, from a matplotlib axis to the Bokeh axis `model`."""
+    from bokeh.models import BasicTickFormatter
     from matplotlib.ticker import FixedLocator, FuncFormatter
 
+    low, high = axis.get_view_interval()
+    if axis.get_scale() == "log":
+        if high < 100.0 * low:  # Bokeh's ticks in less than two decades are even, and overlap
+            log_ticks(axis)
+            model.ticker, model.formatter = axis.get_majorticklocs().tolist(), BasicTickFormatter()
+        return
     if not isinstance(axis.get_major_locator(), FixedLocator):
+        model.ticker.desired_num_ticks = TICKS[axis.axis_name]
         return
     places = [float(place) for place in axis.get_majorticklocs()]
     model.ticker = places
@@ -349,6 +360,8 @@ def _page(eq: Answer, records: Sequence[Record], digests: Mapping[str, str], com
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", BayeqWarning)  # they are in the page already
         made, reasons = pictures(eq, records[0] if records else None)
+    moves = any(one.chain.order == 2 and not one.chain.discrete for one in eq.equations)
+    kind = "Equation of motion" if moves else "Governing equation"
     found, physical = own_parameters(eq), None
     if found is not None:
         law, also = law_in_symbols(eq, found), ", ".join(found.unexplained)
@@ -360,7 +373,7 @@ def _page(eq: Answer, records: Sequence[Record], digests: Mapping[str, str], com
     environment.filters["typeset"] = lambda number: number.replace(" .. ", " … ").replace("-", "\N{MINUS SIGN}")
     environment.filters["unit"] = unit_text
     return environment.get_template("page.html").render(
-        title=f"Equation of motion: {', '.join(one.target for one in eq.equations)}",
+        title=f"{kind}: {', '.join(one.target for one in eq.equations)}",
         policy=f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data: blob:;"
         " font-src data:; base-uri 'none'; form-action 'none'",
         style=STYLE,
@@ -370,7 +383,8 @@ def _page(eq: Answer, records: Sequence[Record], digests: Mapping[str, str], com
         physical=physical,
         equations=[_equation(one, eq) for one in eq.equations],
         header=("term", "coefficient", "sd", "95 % interval", ENGINES[eq.method].score, "share", "unit"),
-        noteworthy=f"{NOTEWORTHY_PIP:g}",
+        noteworthy=f"{ENGINES[eq.method].score} below {NOTEWORTHY_PIP:g}",
+        n_train=eq.data.n_train if eq.data.refitted else 0,
         warnings=eq.warnings,
         of=f" of {records[0].name}" if len(records) > 1 and records[0].name else "",
         pictures=made,
