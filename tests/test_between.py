@@ -208,6 +208,8 @@ def test_a_record_of_another_mass_differs_in_every_coefficient_and_no_other_reco
     ask = {"displacement": "x", "velocity": "v", "acceleration": "a", "force": "u", "holdout": 0.0}
     (eq,) = bq.discover(_runs(1.5), dictionary="x, v, u, x**3", differs="all", **ask)
     assert set(eq.shown) == {*names, *(f"{name}*run3" for name in names)}
+    units = dict(zip(eq.posterior.names, eq.coef_units, strict=True))
+    assert all(units[f"{name}*run3"] == units[name] for name in names)
     # a mass of 1.5 divides every coefficient by 1.5
     for name in names:
         assert eq.shown_coef[f"{name}*run3"] == pytest.approx(-eq.shown_coef[name] / 3.0, rel=0.2)

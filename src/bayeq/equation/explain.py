@@ -107,8 +107,10 @@ def _of_constants(equation: Equation) -> Iterator[str]:
 def _of_checks(equation: Equation, eq: Answer) -> Iterator[str]:
     if equation.held_out is not None:
         fit = equation.held_out
+        several = len(eq.data.files) > 1
+        last = f"the last rows of each record, {fit.n} in all," if several else f"the last {fit.n} rows"
         yield (
-            f"held-out rows: the last {fit.n} rows were not used to find the equation that predicts them here. R2"
+            f"held-out rows: {last} were not used to find the equation that predicts them here. R2"
             f" {fit.r2:.3f}: it explains {100 * max(fit.r2, 0.0):.3g} % of the variance of {equation.target}; the"
             f" normalised RMS error, {in_digits(100 * fit.nrmse)} %, is the error over the standard deviation. Part of"
             " it is the noise of the channels, which no equation explains."

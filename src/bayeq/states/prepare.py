@@ -289,8 +289,9 @@ def numbered(records: Sequence[Record], names: Sequence[str]) -> list[Record]:
             f"coefficients differ between the {len(names) + 1} records of the equations: give as many, in that order,"
             f" or channels {', '.join(names)} that are 1 in the record of this number, else 0"
         )
+    units = dict.fromkeys(names, "1")
     return [
-        record.with_channels({name: np.full(record.n, float(name == f"run{k}")) for name in names})
+        record.with_channels({name: np.full(record.n, float(name == f"run{k}")) for name in names}, units)
         for k, record in enumerate(records, 1)
     ]
 
