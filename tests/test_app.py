@@ -318,6 +318,9 @@ def test_a_session_reads_again_and_takes_further_records(monkeypatch):
         assert session.words()[:3] == ["discover", "run.csv", "record2_run.csv"]
         assert session.words()[3:7] == ["--names", "t,p,q,r,s", "--skip", "2"]
         assert bq.load(session.result.folder / EQUATION).data.n == 600
+        session.further.append(session.workspace.path / "other.csv")
+        assert session.words()[2:4] == ["record2_run.csv", "other.csv"]  # a number where the name is there already
+        session.further.pop()
         session.drop(second)
         assert not second.exists()
         session.choices.reading["--skip"] = "no"

@@ -157,13 +157,13 @@ class Session:
     def words(self) -> list[str]:
         """The command that `discover` runs; InputError if the roles form no chain."""
         files = [] if self.opened is None else [self.opened.path, *self.further]
-        return discover_command([self._name(path, k) for k, path in enumerate(files)], self.choices)
+        return discover_command([self._name(path, files[:k]) for k, path in enumerate(files)], self.choices)
 
-    def _name(self, path: Path, k: int = 0) -> str:
-        """Name of a file in a command: an uploaded one without its folder, a further record (`k` > 0) with a number."""
+    def _name(self, path: Path, before: Sequence[Path] = ()) -> str:
+        """Name of a file in a command: an uploaded one without its folder, numbered where one before has its name."""
         if self.workspace.path not in path.parents:
             return str(path)
-        return f"record{k + 1}_{path.name}" if k else path.name
+        return f"record{len(before) + 1}_{path.name}" if path.name in {one.name for one in before} else path.name
 
     async def discover(self) -> None:
         """Find the equations with the current choices; an earlier result stays until there is a new one."""
@@ -173,9 +173,10 @@ class Session:
         try:
             words = self.words()
             folder = self.workspace.new_folder()
-            for k, path in enumerate((self.opened.path, *self.further)):
+            files = [self.opened.path, *self.further]
+            for k, path in enumerate(files):
                 if self.workspace.path in path.parents:  # a name without folders, also in the report
-                    (folder / self._name(path, k)).hardlink_to(path)
+                    (folder / self._name(path, files[:k])).hardlink_to(path)
         except InputError as error:
             self.run_error = str(error)
         except OSError as error:
