@@ -166,8 +166,10 @@ def parse_chain(text: str) -> Chain:
     if len(parts) > 3 and not parts[-1]:
         raise ChainError(f"chain {text[:60]!r} has a colon too many; a law of order {len(parts) - 1} is x:v:a:~j")
     for part in parts:
-        if keyword.iskeyword(part.removeprefix("~")) or len(part) > LONGEST:
-            raise ChainError(f"chain {text[:60]!r}: {part[:40]!r} is not a channel name; {form}")
+        reserved = keyword.iskeyword(name := part.removeprefix("~"))
+        if reserved or len(part) > LONGEST:
+            called = f" (a column {name} is called {name}_)" if reserved else ""
+            raise ChainError(f"chain {text[:60]!r}: {part[:40]!r} is not a channel name{called}; {form}")
     named = [part.removeprefix("~") for part in parts if part]
     if len(set(named)) < len(named):
         raise ChainError(f"chain {text[:60]!r} names a channel twice; {form}")
