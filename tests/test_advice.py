@@ -8,10 +8,12 @@ import re
 import numpy as np
 import pytest
 
+import bayeq as bq
 from bayeq import errors
 from bayeq.records import Record
 from bayeq.records.findings import check_record
 from bayeq.states.bad_samples import ADVICE
+from tests.headers import noisy, solve, tones
 from tests.layers import SOURCE, modules
 
 CATEGORIES = {name for name in errors.__all__ if name.endswith("Warning")}
@@ -133,3 +135,30 @@ def test_findings_come_with_advice():
     }
     for one in found:
         assert DOES.search(one.message), one.message
+
+
+def _two_places(first: float, second: float) -> Record:
+    """Two masses with springs, which a force of these transfers drives."""
+    t = np.arange(1500) / 100
+    force = tones(t, 1, 0.5, 6.0)
+
+    def rate(s: float, y: np.ndarray) -> list[float]:
+        push, (x1, x2, v1, v2) = np.interp(s, t, force), y
+        return [v1, v2, first * push - 200 * x1 + 90 * x2 - v1, second * push + 90 * x1 - 300 * x2 - 1.5 * v2]
+
+    y = solve(rate, [0.0] * 4, t)
+    a = np.array([rate(s, row)[2:] for s, row in zip(t, y, strict=True)])
+    made = {"x1": y[:, 0], "a1": a[:, 0], "x2": y[:, 1], "a2": a[:, 1], "F": force}
+    return Record(noisy(made, 0.002), t)
+
+
+@pytest.mark.parametrize(("first", "second", "warned"), [(2.0, -0.7, []), (-2.0, -0.7, ["x1", "x2"])])
+@pytest.mark.filterwarnings("ignore::bayeq.errors.BayeqWarning")
+def test_a_force_is_reversed_only_if_it_pushes_nothing_forward(first: float, second: float, warned: list[str]) -> None:
+    found = bq.discover(
+        _two_places(first, second), chains=["x1::a1", "x2::a2"], inputs=["F"], dictionary="x1, dx1, x2, dx2, F"
+    )
+    coefficients = [equation.shown_model.coefficients["F"] for equation in found.equations]
+    assert coefficients == pytest.approx([first, second], abs=0.05)
+    against = [one for one in found.warnings if "F acts against" in one]
+    assert [one.partition("against ")[2].partition(":")[0] for one in against] == warned

@@ -113,8 +113,11 @@ def build_equations(
 
 def warn_of(equations: Sequence[Equation], selections: Sequence[Selection], log: WarningLog) -> None:
     """Log what a user must know of each equation."""
+    # where a force acts it moves a mass along; others it may move against itself
+    along = {name for one in equations for name, value in one.shown_model.coefficients.items() if value > 0.0}
     for equation, selection in zip(equations, selections, strict=True):
-        for said, category in warnings_of(equation, selection):
+        inputs = [name for name in selection.fit.regression.motion.roles.inputs if name not in along]
+        for said, category in warnings_of(equation, selection, inputs):
             log.warn(f"{equation.target}: {said}", category)
 
 
@@ -501,8 +504,8 @@ def _against(equation: Equation, inputs: Sequence[str]) -> str | None:
 Said = Iterator[tuple[str, type[BayeqWarning]]]
 
 
-def warnings_of(equation: Equation, selection: Selection) -> Said:
-    """Warnings about an equation: message and category."""
+def warnings_of(equation: Equation, selection: Selection, against: Sequence[str]) -> Said:
+    """Warnings about an equation: message and category; inputs `against` act along the motion in no equation."""
     details = equation.posterior.details
     if not details.converged:
         rhat = "" if details.rhat is None else f", multivariate R-hat {details.rhat:.3g}"
@@ -515,7 +518,7 @@ def warnings_of(equation: Equation, selection: Selection) -> Said:
         free = None if record is None else record.unstated(regression.k, one[0])
         said = f"it says {one[-1] if free is None else free:.4g}"
         yield f"the record contradicts {_stated(equation, *one)}: {said}; check both, or drop it", DataWarning
-    force = _against(equation, regression.motion.roles.inputs)
+    force = _against(equation, against)
     if force is not None:
         against = f"{force} acts against {equation.chain.names[0]}"
         yield f"{against}: reverse it, if a force (--scale {force}=-1)", DataWarning
