@@ -498,7 +498,7 @@ def _whole(question: Question, extents: tuple[Extent, ...], executor: Executor, 
     if any(chain.static for chain in question.roles.chains):
         raise NotStreamed("static laws need the record in memory; choose some rows (--rows)")
     if question.roles.timed:
-        raise NotStreamed("a term that uses t, the time, needs the record in memory; choose some rows (--rows)")
+        raise NotStreamed("a term uses t, the time, and needs the record in memory; choose some rows (--rows)")
     proportional = any(share_of_reading(amount) is not None for amount in question.noise.values())
     if question.band is not None or question.tails == "student" or proportional:
         raise NotStreamed(
