@@ -307,6 +307,7 @@ def test_a_search_ends_where_rounding_spoils_all_gains():
     assert listed.left_out > 0.5
     assert listed.inclusion is None
 
+
 def test_a_forbidden_term_that_depends_on_the_active_ones_spoils_nothing():
     """Of two coordinates x1 and x2 an equation has x1 and x2-x1 as candidates; x2 is for the other equation."""
     rng = np.random.default_rng(3)
