@@ -168,8 +168,8 @@ def parse_chain(text: str) -> Chain:
     for part in parts:
         reserved = keyword.iskeyword(name := part.removeprefix("~"))
         if reserved or len(part) > LONGEST:
-            called = f" (a column {name} is called {name}_)" if reserved else ""
-            raise ChainError(f"chain {text[:60]!r}: {part[:40]!r} is not a channel name{called}; {form}")
+            remedy = f" (a column {name} is called {name}_)" if reserved else ""
+            raise ChainError(f"chain {text[:60]!r}: {part[:40]!r} is not a channel name{remedy}; {form}")
     named = [part.removeprefix("~") for part in parts if part]
     if len(set(named)) < len(named):
         raise ChainError(f"chain {text[:60]!r} names a channel twice; {form}")
