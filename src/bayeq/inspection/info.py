@@ -193,7 +193,8 @@ def _described(experiments: Experiments, name: str, reading: Reading) -> RecordI
     free = [key for key in moving if key not in derived and clues[key].order not in other and not clues[key].by_unit]
     first = first_order(short, free, [key for key in moving if clues[key].order == INPUT])
     alike = correlations(short, moving)
-    guess = guess_roles(moving, clues, links, first, alike, twins(short, alike), rough_channels(short, moving))
+    rough = rough_channels(short, moving)
+    guess = guess_roles(moving, clues, links, first, alike, twins(short, alike), rough, short.dt or 0.0)
     second = [chain for chain in guess.chains if len(chain) == 3]
     if len(second) == 1 and not guess.inputs:
         unknown = [key for key in guess.undecided if clues[key].order is None]

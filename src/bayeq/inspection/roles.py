@@ -68,7 +68,15 @@ PLACES = (
     " schwingtisch",
 )
 # Words of a base by themselves: Tischbeschleunigung may be that of a machine.
-BASES = {"ag", "table", "tisch"}
+BASES = {"ag", "table", "tisch", "road", "fahrbahn", "strasse", "route"}
+# Words that are no place: of quantities, motion sensors, symbols and values, and units in names.
+OF_VALUES = "sensor channel ch signal raw meas measured actual ist filt filtered mm cm m s ms g deg rad"
+NO_PLACE = {
+    *OF_VALUES.split(),
+    *TIERS[0],
+    *(word for word, order in TIERS[1].items() if order != INPUT),
+    *(word for word in TIERS[2] if len(word) > 1),
+}
 # Words of this many letters are found at the beginning and the end of longer ones: Motorspannung, Kraftmessdose.
 COMPOUND = 5
 SENSOR_ENDS = re.compile(r"(?<=\w{3})(mess)?(aufnehmer|sensor|geber|dose|zelle|wert|signal|grosse)$")
@@ -77,6 +85,8 @@ SENSOR_ENDS = re.compile(r"(?<=\w{3})(mess)?(aufnehmer|sensor|geber|dose|zelle|w
 Alike = Mapping[frozenset[str], float]
 # Correlation from which two inputs belong to one motor.
 ONE_INPUT = 0.5
+# Rows by which channels of one place may be late, if their names say two.
+LATE = 1.0
 # A channel named like a force may be an acceleration if its fit to a second derivative exceeds this.
 EXACTLY = 0.999
 
@@ -94,6 +104,14 @@ class Clue:
     symbol: bool = False  # whether the order comes from a symbol, which is less sure than a word
     rank: int = 0  # rank of an input: 0 measured force, 1 current, 2 command
     base: int | None = None  # order of the motion, if its name is that of what the others stand on
+    place: frozenset[str] = frozenset()  # words and numbers of the name that are no quantity, sensor or axis
+    axis: str = ""  # x, y or z, if the name says one
+
+    def apart(self, other: Clue) -> bool:
+        """Whether both names say where they are measured, and not the same place."""
+        if self.axis and other.axis and self.axis != other.axis:
+            return True
+        return not (self.place <= other.place or other.place <= self.place)
 
 
 @dataclass(frozen=True)
@@ -185,16 +203,17 @@ def _together(clues: Mapping[str, Clue], units: Mapping[str, str]) -> dict[str, 
 
 
 def _on_a_base(clues: Mapping[str, Clue]) -> dict[str, Clue]:
-    """Clues with the displacement of a base as an input if another is there.
+    """Clues with the displacement of a base as an input if another is there, or an acceleration at another place.
 
     Where the base is all that moves, as the table of a machine, its acceleration is no input.
     """
     motions = [clue for clue in clues.values() if clue.order in (0, 1, 2)]
     alone = bool(motions) and all(clue.base is not None for clue in motions)
-    borne = any(clue.order == 0 and clue.base is None for clue in motions)
+    borne = [clue for clue in motions if clue.base is None and clue.order in (0, 2)]
     out = dict(clues)
     for name, clue in clues.items():
-        if borne and clue.base == clue.order == 0 and not clue.angle:
+        moved = any(one.order == 0 or one.apart(clue) for one in borne)
+        if moved and clue.base == clue.order == 0 and not clue.angle:
             out[name] = replace(clue, order=INPUT, why="its name", by_unit=False)
         elif alone and clue.base == 2:
             out[name] = replace(clue, order=2)
@@ -232,7 +251,19 @@ def clue_of(name: str, unit: str) -> Clue:
     sure = by_unit is not None and order == by_unit
     why = why if order is not None else ""
     symbol = not sure and tier == 2 and base is None
-    return Clue(order, why, sure, index, angle, unit in DEGREES, symbol, rank, base)
+    numbers = {part for part in parts if part.isdigit()}
+    said = [part for part in others if part not in NO_PLACE and not _axis(part)]
+    # xb and ab are both at b
+    place = frozenset(numbers.union(part[-1] if re.fullmatch("[xyzqsdvwa][a-z]", part) else part for part in said))
+    axis = next(filter(None, map(_axis, parts)), "")
+    return Clue(order, why, sure, index, angle, unit in DEGREES, symbol, rank, base, place, axis)
+
+
+def _axis(part: str) -> str:
+    """The axis that a word names: x of x, ax, xdot and accx; or nothing."""
+    found = re.fullmatch(r"(?:dd?|[av])?([xyz])(?:dd?|d?dot)?", part)
+    words = [word for table in TIERS[:2] for word in table]
+    return found[1] if found else part[-1] if part[-1] in "xyz" and part[:-1] in words else ""
 
 
 def _order_of_unit(unit: str) -> int | None:
@@ -312,17 +343,18 @@ def guess_roles(
     alike: Alike,
     twins: Set[frozenset[str]],
     rough: set[str],
+    step: float,
 ) -> Guess:
     """Assign channels that move to chains and inputs.
 
     `clues` are the roles by unit and name; `links` the derivatives found, the surest first; `first` the share of each
     first-order state that channels explain; `alike` the correlations; `twins` the pairs that measure one motion;
-    `rough` the channels that look like noise.
+    `rough` the channels that look like noise; `step` the time step.
     """
     reasons: dict[str, str] = {}
     questions: list[str] = []
     clues = _with_base(names, clues, links, questions)
-    runs = _runs(_clear(_agreeing(links, clues), questions), reasons)
+    runs = _runs(_clear(_agreeing(links, clues, step), questions), reasons)
     linked = {name for run in runs for name in run if name is not None}
     of_order = {k: [n for n in names if clues[n].order == k and n not in linked] for k in (INPUT, REFERENCE, 0)}
     for name in of_order[REFERENCE]:
@@ -414,8 +446,11 @@ def _exchanged(name: str, links: Sequence[Link], clues: Mapping[str, Clue]) -> l
     ]
 
 
-def _agreeing(links: Sequence[Link], clues: Mapping[str, Clue]) -> list[tuple[int, Link]]:
-    """Links with a grade: -1 if names agree, 0 if unknown, 1 if they disagree; contradicted links are left out."""
+def _agreeing(links: Sequence[Link], clues: Mapping[str, Clue], step: float) -> list[tuple[int, Link]]:
+    """Links with a grade: -1 if names agree, 0 if unknown, 1 if they disagree; contradicted links are left out.
+
+    Names of two places are linked only if gain, sign and delay (of rows of `step` seconds) say so.
+    """
     counts = Counter(clue.order for clue in clues.values())
 
     def contradiction(link: Link) -> int:
@@ -425,9 +460,12 @@ def _agreeing(links: Sequence[Link], clues: Mapping[str, Clue]) -> list[tuple[in
                 return 2  # something proportional to a force, or that follows a reference
         if below.order is None or above.order is None:
             return 0 if link.usual or below.order != above.order else 2
-        # the only one of its kind needs no index
-        together = below.index == above.index or 1 in (counts[below.order], counts[above.order])
         as_said = above.order - below.order == link.order
+        if as_said and below.apart(above) and abs(link.delay) > LATE * step:
+            return 2
+        # the only one of its kind needs no index, but two places are not one
+        together = below.index == above.index or 1 in (counts[below.order], counts[above.order])
+        together = together and not below.apart(above)
         if together and as_said:
             return -1
         by_unit = below.by_unit and above.by_unit and not as_said
@@ -521,34 +559,38 @@ def _chains(
     counts = Counter(clues[name].order for name in left)
     alone = max(counts.values(), default=0) <= 1
     chains = [list(chain) for chain in found]
-    indices = [next(clues[name].index for name in chain if name is not None) for chain in found]
+    firsts = [next(clues[name] for name in chain if name is not None) for chain in found]
     for name in left:
-        order, index = int(clues[name].order or 0), clues[name].index
+        clue, order = clues[name], int(clues[name].order or 0)
         of_kind = [  # no angle belongs to a length
             (chain, other)
-            for chain, other in zip(chains, indices, strict=True)
+            for chain, other in zip(chains, firsts, strict=True)
             if not {True, False} <= {clues[n].angle for n in (name, *chain) if n is not None}
         ]
         fits = [
             chain
             for chain, other in of_kind
             if chain[order] is None
-            and (index == other or (len(chains) == 1 and counts[order] == 1) or (alone and not found))
+            and not clue.apart(other)
+            and (clue.index == other.index or (len(chains) == 1 and counts[order] == 1) or (alone and not found))
         ]
-        if not fits and all(index != other for _, other in of_kind):
+        if not fits and all(clue.index != other.index or clue.apart(other) for _, other in of_kind):
             fits = [[None, None, None]]
             chains += fits
-            indices.append(index)
+            firsts.append(clue)
         if fits:
             fits[0][order] = name
-    # a channel without a derivative is a coordinate only if there are no surer ones, otherwise another sensor; a
-    # velocity alone is a coordinate only by its unit
+    # a channel without a derivative is a coordinate only if there are no surer ones, otherwise another sensor, unless
+    # it is at a place of its own; a velocity alone is a coordinate only by its unit
     sure = states or any(chain[0] is not None and chain != [chain[0], None, None] for chain in chains) or found
     by_unit = [[n if k != 1 or n is None or clues[n].by_unit else None for k, n in enumerate(c)] for c in chains]
     lone = next((k for k in (0, 2, 1) if any(chain[k] is not None for chain in by_unit)), 2)
+    own = [all(one is other or one.apart(other) for other in firsts) for one in firsts]
     kept = [
         tuple(chain)
         for k, chain in enumerate(chains)
-        if k < len(found) or (chain[0] is not None and any(chain[1:])) or (chain[lone] is not None and not sure)
+        if k < len(found)
+        or (chain[0] is not None and any(chain[1:]))
+        or (not sure and (chain[lone] is not None or (chain[2] is not None and own[k])))
     ]
     return [*kept, *((name,) for name in states)]
