@@ -115,9 +115,9 @@ def warn_of(equations: Sequence[Equation], selections: Sequence[Selection], log:
     """Log what a user must know of each equation."""
     # where a force acts it moves a mass along; others it may move against itself
     along = {name for one in equations for name, value in one.shown_model.coefficients.items() if value > 0.0}
+    against = [name for name in selections[0].fit.regression.motion.roles.inputs if name not in along]
     for equation, selection in zip(equations, selections, strict=True):
-        inputs = [name for name in selection.fit.regression.motion.roles.inputs if name not in along]
-        for said, category in warnings_of(equation, selection, inputs):
+        for said, category in warnings_of(equation, selection, against):
             log.warn(f"{equation.target}: {said}", category)
 
 

@@ -230,8 +230,8 @@ def clue_of(name: str, unit: str) -> Clue:
     """
     parts = _parts(name)
     by_name, tier, others = _order_of_name(parts)
-    digits = "_".join(part for part in parts if part.isdigit())
-    index = digits or "_".join(others)
+    numbers = [part for part in parts if part.isdigit()]
+    index = "_".join(numbers or others)
     by_unit = _order_of_unit(unit)
     turns = not unit and bool(NAMES_OF_ANGLES & set(parts))
     turns |= unit in REVOLUTIONS or bool(ANGLES & set(parse_unit(unit)))
@@ -251,10 +251,9 @@ def clue_of(name: str, unit: str) -> Clue:
     sure = by_unit is not None and order == by_unit
     why = why if order is not None else ""
     symbol = not sure and tier == 2 and base is None
-    numbers = {part for part in parts if part.isdigit()}
     said = [part for part in others if part not in NO_PLACE and not _axis(part)]
     # xb and ab are both at b
-    place = frozenset(numbers.union(part[-1] if re.fullmatch("[xyzqsdvwa][a-z]", part) else part for part in said))
+    place = frozenset(part[-1] if re.fullmatch("[xyzqsdvwa][a-z]", part) else part for part in said).union(numbers)
     axis = next(filter(None, map(_axis, parts)), "")
     return Clue(order, why, sure, index, angle, unit in DEGREES, symbol, rank, base, place, axis)
 
@@ -262,8 +261,9 @@ def clue_of(name: str, unit: str) -> Clue:
 def _axis(part: str) -> str:
     """The axis that a word names: x of x, ax, xdot and accx; or nothing."""
     found = re.fullmatch(r"(?:dd?|[av])?([xyz])(?:dd?|d?dot)?", part)
-    words = [word for table in TIERS[:2] for word in table]
-    return found[1] if found else part[-1] if part[-1] in "xyz" and part[:-1] in words else ""
+    if found:
+        return found[1]
+    return part[-1] if part[-1] in "xyz" and any(part[:-1] in words for words in TIERS[:2]) else ""
 
 
 def _order_of_unit(unit: str) -> int | None:
