@@ -127,8 +127,9 @@ def judge(
     if r2 < -NOTHING:
         explained = f"R2 {r2:.2g}, worse than the mean"
     above = r2 / signal if signal > limit else r2
-    by_runs = window is not None and not signal > limit
-    if max(above, r2) < EQUATION.least_r2 and not by_runs:
+    little = max(above, r2) < EQUATION.least_r2
+    by_runs = little and window is not None and not signal > limit
+    if little and not by_runs:
         failed = f"the terms explain little of {target} on {where} ({explained}{of_all})"
         return Verdict("none", f"no equation found: {failed}")
     rows = "" if by_runs else f"{explained} on {where}{of_all}"
@@ -139,7 +140,7 @@ def judge(
         failed = "started from a measured state the equation is wrong within one period"
         return Verdict("none", f"no equation found: {failed}{though}")
     within = f"free runs over one period within {in_digits(100 * window.error)} %"
-    kind = ByRuns if by_runs and max(above, r2) < EQUATION.least_r2 else Verdict
+    kind = ByRuns if by_runs else Verdict
     return kind("found", f"{rows}{'; ' if rows else ''}{within}")
 
 
