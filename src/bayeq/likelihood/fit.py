@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayeq.arrays import Bools, Floats
+from bayeq.arrays import Bools, Floats, Ints
 from bayeq.likelihood.adjoint import Adjoint, adjoint
 from bayeq.likelihood.blur import Blur, blur_of, first_blur
 from bayeq.likelihood.determinant import Determinant, determinant_of
@@ -152,6 +152,17 @@ def solved(A: Floats, B: Floats) -> Floats:
         singular = True
     found = np.linalg.lstsq(A, B, rcond=1e-13)[0] if singular else np.linalg.solve(A, B)
     return np.asarray((found.T * unit).T)
+
+
+def integrated_out(q: Quadratic, own: Ints, rest: Ints, precision: Floats) -> tuple[Floats, Floats]:
+    """Information on the coefficients `own` and gradient by these, with the coefficients `rest` integrated out."""
+    A, b = q.information[np.ix_(own, own)], q.slope[own]
+    if not len(rest):
+        return A, b
+    across = q.information[np.ix_(own, rest)]
+    H = q.information[np.ix_(rest, rest)] + np.diag(precision[rest])
+    carried = solved(H, np.column_stack([across.T, q.slope[rest]]))
+    return A - across @ carried[:, :-1], b - across @ carried[:, -1]
 
 
 def marginal(

@@ -9,10 +9,9 @@ from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayeq.arrays import Bools, Floats
-from bayeq.dictionary.ranges import ConstantEstimate, Forms, constants_of
+from bayeq.dictionary.ranges import ConstantEstimate, Forms
 from bayeq.expressions import Expression
 from bayeq.inference.collapsed.search import scores_of
 from bayeq.inference.gram import Gram, Standardised
@@ -22,19 +21,29 @@ from bayeq.likelihood.block import Block, at_its_path
 from bayeq.likelihood.channels import Calibration, calibration_of, lags_of
 from bayeq.likelihood.courses import with_other_inputs
 from bayeq.likelihood.exact_inputs import ExactInputs, exact_inputs
-from bayeq.likelihood.fit import Quadratic, State, candidates, of_stated, solved
-from bayeq.likelihood.hidden import law_constants, with_laws_of
+from bayeq.likelihood.fit import Quadratic, State, candidates, integrated_out, of_stated, solved
+from bayeq.likelihood.hidden import with_laws_of
 from bayeq.likelihood.layout import Stated
 from bayeq.likelihood.levels import LEAST_NOISE
-from bayeq.likelihood.model import NOTICED, Fitted, Task, calmed, finished, fit, from_all_levels, of_motion, with_model
+from bayeq.likelihood.model import Fitted, Task, calmed, finished, fit, from_all_levels, of_motion, with_model
 from bayeq.likelihood.nodes import first_members, fresh
+from bayeq.likelihood.peaks import Along, another, farthest
 from bayeq.likelihood.profile import Profile, profile_of
 from bayeq.likelihood.projection import Leftover, leftover
 from bayeq.likelihood.search import CLEARLY, Start, from_starts, resumed, search
-from bayeq.likelihood.spike import Nearly, Soft, among_fitted, among_neighbours, averaged, of_gram, soft_of
+from bayeq.likelihood.spike import (
+    Nearly,
+    Soft,
+    among_all_neighbours,
+    among_fitted,
+    among_neighbours,
+    averaged,
+    of_gram,
+    soft_of,
+)
 from bayeq.likelihood.start import carried_over, series_and_paths, start_from, stretches
 from bayeq.likelihood.unequal import with_unequal_noise
-from bayeq.likelihood.unknowns import at_other_peaks, distance, joint_covariance, moved, settled, with_constants
+from bayeq.likelihood.unknowns import as_likely, at_other_peaks, joint_covariance, moved, settled, with_constants
 from bayeq.numerics.rk4 import Interpolation
 from bayeq.numerics.settings import LIKELIHOOD
 from bayeq.states import Motion, Sensors
@@ -46,9 +55,6 @@ HARDLY = 0.1
 # The noise of an input is known from the record if the log likelihoods without noise, with the estimate and with 5 % of
 # the standard deviation differ by more nats than this: two standard errors.
 SOME, READ = 0.05**2, 2.0
-
-# Values of a constant count as different if they are further apart than this share of its range.
-APART = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,6 +199,14 @@ class RecordFit:
         return bool(np.linalg.eigvalsh(information)[0] < 1.0)
 
     @cached_property
+    def along(self) -> Along | None:
+        """The likelihood along each coefficient; None with constants or flows, or if series hold only some rows."""
+        with suppress(np.linalg.LinAlgError), np.errstate(all="ignore"):
+            if self.own and self.more is None and self.task.flows is None and not self.task.layout.has_constants:
+                return Along(self.task, self.fitted)
+        return None
+
+    @cached_property
     def unshrunk(self) -> tuple[State, Floats]:
         """The fit under a prior that hardly shrinks coefficients, and their covariance with constants estimated too."""
         state, covariance = self._unshrunk
@@ -256,7 +270,7 @@ class RecordFit:
         if self._joint is None or not self.own or self.more is not None:
             return ()
         ends = {one.name: one.ci95 for one in self._joint[1]}
-        others = at_other_peaks(motion, self.task, self.fitted, APART)
+        others = at_other_peaks(motion, self.task, self.fitted)
         return tuple(
             values
             for values, one in others
@@ -313,6 +327,8 @@ class RecordFit:
         state, covariance = self.unshrunk
         own = np.flatnonzero(state.chosen.chain == c)
         covariance = covariance[np.ix_(own, own)]
+        if self.along is not None:
+            covariance = covariance * np.outer(self.along.widths[own], self.along.widths[own])
         if not isinstance(self.task.between, float):
             number = self.task.number(state.chosen)[own]
             covariance = covariance + self.task.between[np.ix_(number, number)]
@@ -418,7 +434,7 @@ class RecordFit:
         q, own = self.quadratic, np.arange(self.block(c).start, self.block(c).stop)
         others = self.fitted.model.copy()
         others[own] = False
-        A, b = _marginal(q, own, np.flatnonzero(others), self.task.precision)
+        A, b = integrated_out(q, own, np.flatnonzero(others), self.task.precision)
         terms, targets = A[:-1, :-1], b[:-1]
         mean, target_mean = np.zeros(len(targets)), 0.0
         if self.fitted.model[own[-1]]:
@@ -440,20 +456,9 @@ class RecordFit:
         if self.fitted.model[block.stop - 1]:
             return None
         inside = np.flatnonzero(self.fitted.model)
-        A, b = _marginal(q, np.array([block.stop - 1]), inside, precision)
+        A, b = integrated_out(q, np.array([block.stop - 1]), inside, precision)
         value = 0.0 if self.task.flows is not None else float(b[0] / A[0, 0])
         return value, float(1.0 / np.sqrt(A[0, 0]))
-
-
-def _marginal(q: Quadratic, own: NDArray[np.intp], rest: NDArray[np.intp], precision: Floats) -> tuple[Floats, Floats]:
-    """Information on the coefficients `own` and gradient by these, with the coefficients `rest` integrated out."""
-    A, b = q.information[np.ix_(own, own)], q.slope[own]
-    if not len(rest):
-        return A, b
-    across = q.information[np.ix_(own, rest)]
-    H = q.information[np.ix_(rest, rest)] + np.diag(precision[rest])
-    carried = solved(H, np.column_stack([across.T, q.slope[rest]]))
-    return A - across @ carried[:, :-1], b - across @ carried[:, -1]
 
 
 def fit_record(
@@ -504,7 +509,7 @@ def _fitted(
     if any(chain.stated for chain in motion.roles.chains):  # a wrong lag looks like another course of an input
         pairs = [settled(some, task, finished(task, fitted)) for task, fitted in pairs]
     elif motion.roles.hidden:
-        pairs = _among_all_neighbours(pairs)
+        pairs = among_all_neighbours(pairs)
     (task, fitted), *others = sorted(pairs, key=lambda pair: -pair[1].evidence)
     rivals = as_likely(task, fitted, others)
     task, fitted = with_other_inputs(some, task, fitted)
@@ -514,29 +519,7 @@ def _fitted(
     unequal, state = with_unequal_noise(task, fitted.state, motion.sensors)
     fitted = finished(task, fitted) if unequal is task else resumed(unequal, state)
     found = replace(RecordFit.of(unequal, fitted), forms=forms)
-    return _checked(replace(found, rivals=rivals or found.elsewhere(motion)))
-
-
-def _among_all_neighbours(pairs: Sequence[tuple[Task, Fitted]]) -> list[tuple[Task, Fitted]]:
-    """Fits of a hidden state from several first paths, likeliest first, moved to better neighbours as long as the best
-    one leaves a noticeable discrepancy: along a poor path the terms of the law do not show."""
-    found: list[tuple[Task, Fitted]] = []
-    for task, fitted in sorted(pairs, key=lambda pair: -pair[1].evidence):
-        found.append(among_neighbours(task, finished(task, fitted)))
-        if max(found, key=lambda pair: pair[1].evidence)[1].state.levels.kappa.max() < NOTICED:
-            break
-    return found
-
-
-def as_likely(task: Task, fitted: Fitted, others: Sequence[tuple[Task, Fitted]]) -> tuple[Mapping[str, float], ...]:
-    """Values of constants in laws of hidden states, different from the fit's, at which others are nearly as likely."""
-    constants, found = constants_of(task.layout.terms), []
-    now = {name: constants[name].value for name in law_constants(task.layout.roles)}
-    for there, other in others:
-        values = {name: constants_of(there.layout.terms)[name].value for name in now}
-        if other.evidence > fitted.evidence - CLEARLY and distance(constants, now, values) > APART:
-            found.append(values)
-    return tuple(found)
+    return _checked(found, motion, rivals)
 
 
 def learned_sensors(
@@ -589,9 +572,25 @@ def _resumed(motion: Motion, task: Task, fitted: Fitted, places: Sequence[tuple[
     task, state = with_unequal_noise(task, state, motion.sensors)
     task, fitted, forms = with_constants(motion, task, resumed(task, state))
     found = replace(RecordFit.of(task, fitted), forms=forms)
-    return _checked(replace(found, rivals=found.elsewhere(motion)))
+    return _checked(found, motion)
 
 
-def _checked(found: RecordFit) -> RecordFit:
-    _ = found.standards  # raises an error here if an equation cannot be solved
+def _checked(found: RecordFit, motion: Motion, rivals: tuple[Mapping[str, float], ...] = ()) -> RecordFit:
+    """The fit, or one about a likelier maximum, with its rivals; an error here if an equation cannot be solved."""
+    with suppress(np.linalg.LinAlgError), np.errstate(all="ignore"):
+        other = None if found.along is None else another(found.along)
+        if other is not None:
+            task, less = other
+            if less.evidence > found.fitted.evidence:
+                higher, less = replace(RecordFit.of(task, less), forms=found.forms), found.fitted
+                found = _solved(higher)
+            if found.along is not None and found.fitted.evidence < less.evidence + CLEARLY / found.fitted.power:
+                one = farthest(found.along, less, found.along.widths)
+                rivals = (*rivals, one) if one else rivals
+    rivals = rivals or found.elsewhere(motion)
+    return _solved(replace(found, rivals=rivals) if rivals else found)
+
+
+def _solved(found: RecordFit) -> RecordFit:
+    _ = found.standards
     return found

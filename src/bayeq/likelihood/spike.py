@@ -38,7 +38,7 @@ from bayeq.likelihood.fit import (
     solved,
 )
 from bayeq.likelihood.layout import Candidates, Layout
-from bayeq.likelihood.model import Fitted, Task, calmed, fit, over_all_sizes, with_model
+from bayeq.likelihood.model import NOTICED, Fitted, Task, calmed, finished, fit, over_all_sizes, with_model
 from bayeq.likelihood.nodes import extended
 from bayeq.likelihood.search import MOST_TO_MOVE
 from bayeq.likelihood.unknowns import moved, tangents_of
@@ -497,3 +497,14 @@ def among_neighbours(task: Task, best: Fitted, fewer: bool = False) -> tuple[Tas
     best.tried.update(tried)
     task.recent.clear()
     return task, best
+
+
+def among_all_neighbours(pairs: Sequence[tuple[Task, Fitted]]) -> list[tuple[Task, Fitted]]:
+    """Fits of a hidden state from several first paths, likeliest first, moved to better neighbours as long as the best
+    one leaves a noticeable discrepancy: along a poor path the terms of the law do not show."""
+    found: list[tuple[Task, Fitted]] = []
+    for task, fitted in sorted(pairs, key=lambda pair: -pair[1].evidence):
+        found.append(among_neighbours(task, finished(task, fitted)))
+        if max(found, key=lambda pair: pair[1].evidence)[1].state.levels.kappa.max() < NOTICED:
+            break
+    return found

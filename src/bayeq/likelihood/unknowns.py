@@ -36,6 +36,7 @@ from bayeq.dictionary.ranges import (
 from bayeq.expressions import Binary, Expression, Node, Symbol, Unknown, number
 from bayeq.inference.collapsed.search import best_models
 from bayeq.likelihood.fit import State, improved, maximised, solved
+from bayeq.likelihood.hidden import law_constants
 from bayeq.likelihood.layout import Candidates, Layout
 from bayeq.likelihood.model import (
     COARSE,
@@ -62,7 +63,7 @@ from bayeq.likelihood.nodes import (
     with_terms,
     with_values,
 )
-from bayeq.likelihood.search import settle
+from bayeq.likelihood.search import CLEARLY, settle
 from bayeq.numerics.distributions import Z95
 from bayeq.states import Motion
 
@@ -82,6 +83,9 @@ ROUNDS, BETTER = 3, 0.5
 # Gauss-Newton steps, at most; they move a constant by no more than this share of its range, and end where none moves by
 # more than this share of its standard deviation.
 STEPS, FARTHEST, NEAR = 12, 0.25, 0.05
+
+# Values of a constant count as different if they are further apart than this share of its range.
+APART = 0.01
 
 # Rounding of a sum of terms, as a share of its size.
 SAME = 1e-9
@@ -219,11 +223,9 @@ def _elsewhere(motion: Motion, task: Task, fitted: Fitted, family: Sequence[int]
     return task, fitted
 
 
-def at_other_peaks(
-    motion: Motion, task: Task, fitted: Fitted, apart: float
-) -> Iterator[tuple[dict[str, float], Fitted]]:
+def at_other_peaks(motion: Motion, task: Task, fitted: Fitted) -> Iterator[tuple[dict[str, float], Fitted]]:
     """Fits, with the values of their constants, at peaks of the likelihood about a fit that are nearly as high as its
-    own and further from it than the share `apart` of the range of a constant."""
+    own and away from it."""
     for family in _sought(task):
         if not _holds(task, fitted.model, family):
             continue
@@ -232,12 +234,23 @@ def at_other_peaks(
         tried = [one for one in by_rows(task, motion, family) if one != now]
         here, *nodes = on_gram(task, fitted, family, [now, *tried])
         for node in sorted(_peaks(tried, nodes), key=lambda one: -one.score):
-            if node.score > here.score - CLOSE and distance(constants, now, node.values) > apart:
+            if node.score > here.score - CLOSE and distance(constants, now, node.values) > APART:
                 with suppress(np.linalg.LinAlgError):
                     other, best = moved(*settle(*start_at(motion, task, fitted, node)), motion)
                     found = {name: constants_of(other.layout.terms)[name].value for name in now}
-                    if distance(constants, now, found) > apart:
+                    if distance(constants, now, found) > APART:
                         yield found, best
+
+
+def as_likely(task: Task, fitted: Fitted, others: Sequence[tuple[Task, Fitted]]) -> tuple[Mapping[str, float], ...]:
+    """Values of constants in laws of hidden states, different from the fit's, at which others are nearly as likely."""
+    constants, found = constants_of(task.layout.terms), []
+    now = {name: constants[name].value for name in law_constants(task.layout.roles)}
+    for there, other in others:
+        values = {name: constants_of(there.layout.terms)[name].value for name in now}
+        if other.evidence > fitted.evidence - CLEARLY and distance(constants, now, values) > APART:
+            found.append(values)
+    return tuple(found)
 
 
 def distance(constants: Mapping[str, Unknown], one: Mapping[str, float], other: Mapping[str, float]) -> float:

@@ -1,0 +1,150 @@
+"""The likelihood along single coefficients where it is not normal: bent ridges and other maxima.
+
+A weak mode of vibration explains some of the noise at many frequencies: the likelihood has a maximum at each, or a long
+ridge with waves, and a fit ends at the one whose basin its start is in. About a single maximum the log likelihood falls
+by d^2/2 where a coefficient is held d standard deviations off and all others follow. Where it falls by clearly less, a
+fit is begun again with large discrepancies: the likelihood is then nearly that of a regression of the targets on the
+smoothed states, which has one maximum. Intervals reach as far as the likelihood does not fall.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+
+from bayeq.arrays import Floats
+from bayeq.likelihood.filter import run_filter
+from bayeq.likelihood.fit import linearised, of_stated, quadratic, solved
+from bayeq.likelihood.model import Fitted, Task, fit
+from bayeq.likelihood.search import CLEARLY, settle
+from bayeq.numerics.distributions import Z95
+
+# Distance in standard deviations at which the likelihood is compared with that of a single maximum, and the least fall
+# [nats] that is taken for one.
+FAR = 10.0
+AS_ONE = 0.8 * 0.5 * FAR**2
+
+# Discrepancies that a fit begins with anew, as a share of the target, and its Gauss-Newton steps with these.
+MUCH, CALM = 0.3, 12
+
+# A likelihood that is not normal is followed until it is lower by LOW nats, in at most MOST steps, the FIRST of so many
+# standard deviations and each longer than the one before by the factor LONGER. Other coefficients follow by STEPS
+# Gauss-Newton steps.
+LOW, MOST, FIRST, LONGER, STEPS = 8.0, 20, 0.7, 1.25, 2
+
+# Number of places at which a likelihood that was followed is interpolated, for the ends of an interval.
+PLACES = 2000
+
+
+class Along:
+    """The likelihood of a fit's model, levels given, along one coefficient with all others where they are likeliest.
+
+    Attributes
+    ----------
+    covariance : (r, r) array
+        That of the coefficients by the curvature at the fit.
+    """
+
+    def __init__(self, task: Task, fitted: Fitted) -> None:
+        self.task, self.fitted, self.state = task, fitted, fitted.state
+        self.precision = task.precision_of(fitted.state)
+        information = fitted.quadratic.information[np.ix_(fitted.model, fitted.model)] / fitted.power
+        self.covariance = solved(information + np.diag(self.precision), np.eye(len(self.precision)))
+        self.top = self._about(self.state.theta)[0]
+
+    @cached_property
+    def falls(self) -> Floats:
+        """Falls at FAR standard deviations below and above each coefficient, (r, 2)."""
+        out = np.empty((len(self.state.theta), 2))
+        for k, way in np.ndindex(out.shape):
+            out[k, way] = self._fall(k, self.state.theta + (2 * way - 1) * FAR * self._direction(k), 1)[0]
+        return out
+
+    @cached_property
+    def widths(self) -> Floats:
+        """Half-widths of the coefficients' 95 % intervals that the likelihood along each gives, in normal ones, (r,);
+        1 where it is normal, and at least 1."""
+        normal = self.falls.min(axis=1) > AS_ONE
+        return np.array([1.0 if normal[k] else self._width(k) for k in range(len(normal))])
+
+    def _width(self, k: int) -> float:
+        (below, lower), (above, upper), power = self._followed(k, -1.0), self._followed(k, 1.0), self.fitted.power
+        at, falls = np.append(-below[::-1], above[1:]), np.append(lower[::-1], upper[1:])
+        places = np.linspace(at[0], at[-1], PLACES)
+        mass = np.cumsum(np.exp(-power * np.interp(places, at, np.sqrt(np.maximum(falls, 0.0))) ** 2))
+        ends = np.interp([0.025, 0.975], mass / mass[-1], places)
+        return max(float(np.abs(ends).max()) * math.sqrt(power) / Z95, 1.0)
+
+    def _followed(self, k: int, way: float) -> tuple[Floats, Floats]:
+        """Distances from the fit to one side of coefficient k, in standard deviations, and the falls there."""
+        before, now = self.state.theta, self.state.theta + way * FIRST * self._direction(k)
+        places, falls = [0.0, FIRST], [0.0]
+        while len(falls) < MOST:
+            fall, there = self._fall(k, now, STEPS)
+            falls.append(fall)
+            if not math.isfinite(fall) or fall * self.fitted.power > LOW:
+                break
+            before, now = there, there + LONGER * (there - before)
+            places.append((1.0 + LONGER) * places[-1] - LONGER * places[-2])
+        falls[-1] = falls[-1] if math.isfinite(falls[-1]) else LOW / self.fitted.power
+        return np.array(places[: len(falls)]), np.array(falls)
+
+    def _direction(self, k: int) -> Floats:
+        """Change of all coefficients by one standard deviation of coefficient k, (r,)."""
+        return np.asarray(self.covariance[:, k] / np.sqrt(self.covariance[k, k]))
+
+    def _fall(self, k: int, theta: Floats, steps: int) -> tuple[float, Floats]:
+        """Fall of the likelihood from the fit to where coefficient k is that of `theta`, and all coefficients there:
+        the others after Gauss-Newton steps from `theta`."""
+        rest, theta = np.arange(len(theta)) != k, theta.copy()
+        try:
+            for _ in range(steps):
+                _, slope, information = self._about(theta)
+                theta[rest] += solved(information[np.ix_(rest, rest)], slope[rest])
+            fall = self.top - self._about(theta)[0]
+        except np.linalg.LinAlgError:
+            return math.inf, theta
+        return fall if math.isfinite(fall) else math.inf, theta
+
+    def _about(self, theta: Floats) -> tuple[float, Floats, Floats]:
+        """ln p(data, coefficients | levels) up to a constant, its slope and information."""
+        task, state = self.task, replace(self.state, theta=theta)
+        linears = linearised(task.layout, task.series, state, task.substeps)
+        found = quadratic([run_filter(one, state.chosen, state.levels.noise, keep=False) for one in linears])
+        found += of_stated(state.levels.layout.stated, state.chosen, theta)
+        pull = self.precision * theta
+        return found.level - 0.5 * float(theta @ pull), found.slope - pull, found.information + np.diag(self.precision)
+
+
+def another(along: Along) -> tuple[Task, Fitted] | None:
+    """The fit about another maximum; None if the likelihood has one maximum, or none is nearly as high as this."""
+    task, fitted = along.task, along.fitted
+    if along.falls.min(initial=math.inf) > AS_ONE:
+        return None
+    levels = fitted.state.levels
+    discrepancy = np.maximum(levels.discrepancy, MUCH**2 * levels.target)
+    much = replace(levels, discrepancy=discrepancy, memory=levels.longest, hessian=None)
+    task, other = settle(task, fit(task, replace(fitted.state, levels=much), calm=CALM).state)
+    if other.evidence < fitted.evidence - CLEARLY:
+        return None
+    same = bool((other.model == fitted.model).all())
+    return None if same and not farthest(along, other, 1.0) else (task, other)
+
+
+def farthest(along: Along, other: Fitted, widths: Floats | float) -> dict[str, float]:
+    """The coefficient of another fit that is farthest outside of its 95 % interval in a fit, in half-widths; empty if
+    none is."""
+    task, fitted = along.task, along.fitted
+    sd, theta, there = np.ones((3, len(fitted.model)))
+    sd[fitted.model] = widths * np.sqrt(np.diagonal(along.covariance) / fitted.power)
+    theta[fitted.model], there[other.model] = fitted.state.theta, other.state.theta
+    apart = np.where(fitted.model & other.model, np.abs(there - theta) / sd, 0.0)
+    at = int(np.argmax(apart))
+    if apart[at] <= Z95:
+        return {}
+    c, j = divmod(at, len(task.layout.terms) + 1)
+    term = task.layout.terms[j].text if j < len(task.layout.terms) else "the constant"
+    return {f"{term} in {task.layout.roles.targets[c]}": float(there[at])}
