@@ -23,8 +23,9 @@ from bayeq.likelihood.search import CLEARLY, settle
 from bayeq.numerics.distributions import Z95
 
 # Distance in standard deviations at which the likelihood is compared with that of a single maximum, and the least fall
-# [nats] that is taken for one.
-FAR = 10.0
+# [nats] that is taken for one. Where it differs from a normal one's by less than the share NORMAL with the others on
+# the tangent, these need not follow.
+FAR, NORMAL = 10.0, 0.1
 AS_ONE = 0.8 * 0.5 * FAR**2
 
 # Discrepancies that a fit begins with anew, as a share of the target, and its Gauss-Newton steps with these.
@@ -60,7 +61,10 @@ class Along:
         """Falls at FAR standard deviations below and above each coefficient, (r, 2)."""
         out = np.empty((len(self.state.theta), 2))
         for k, way in np.ndindex(out.shape):
-            out[k, way] = self._fall(k, self.state.theta + (2 * way - 1) * FAR * self._direction(k), 1)[0]
+            there = self.state.theta + (2 * way - 1) * FAR * self._direction(k)
+            out[k, way] = self._fall(k, there, 0)[0]
+            if abs(out[k, way] - 0.5 * FAR**2) > NORMAL * 0.5 * FAR**2:
+                out[k, way] = self._fall(k, there, 1)[0]
         return out
 
     @cached_property
