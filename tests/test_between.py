@@ -150,6 +150,10 @@ def test_an_equality_in_one_equation_is_a_tie_too() -> None:
         wrong = bq.discover(record, constraints=["u == 1.1", "v <= 0"], **ask)
     assert wrong[0].shown_coef["u"] == pytest.approx(1.0, abs=0.02)
     assert wrong.constraints == ("v <= 0",)
+    # four standard deviations off
+    with pytest.warns(BayeqWarning, match=r"speaks against u == 1\.0105 \(odds 1:.*shown with it"):
+        doubtful = bq.discover(record, constraints=["u == 1.0105"], **ask)
+    assert doubtful[0].shown_coef["u"] == 1.0105
 
 
 def test_a_difference_the_other_way_round_is_the_same_term() -> None:

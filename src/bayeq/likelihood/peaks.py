@@ -28,12 +28,12 @@ from bayeq.numerics.distributions import Z95
 FAR, NORMAL = 10.0, 0.1
 AS_ONE = 0.8 * 0.5 * FAR**2
 
-# Discrepancies that a fit begins with anew, as a share of the target, and its Gauss-Newton steps with these.
+# Discrepancies that another fit begins with, as a share of the target, and its Gauss-Newton steps with these.
 MUCH, CALM = 0.3, 12
 
-# A likelihood that is not normal is followed until it is lower by LOW nats, in at most MOST steps, the FIRST of so many
-# standard deviations and each longer than the one before by the factor LONGER. Other coefficients follow by STEPS
-# Gauss-Newton steps.
+# A likelihood that is not normal is followed until it is lower by LOW nats, in at most MOST steps: of FIRST standard
+# deviations, then each longer than the one before by the factor LONGER. Other coefficients follow by STEPS Gauss-Newton
+# steps.
 LOW, MOST, FIRST, LONGER, STEPS = 8.0, 20, 0.7, 1.25, 2
 
 # Number of places at which a likelihood that was followed is interpolated, for the ends of an interval.
