@@ -275,7 +275,7 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
     late = _late(equation, regression.motion) if verdict.kind != "found" else None
     suspect = late or regression.suspect
     # the residual of a small lag follows a slope, so that it looks a quarter of a period late: the likelihood knows it
-    if regression.suspect is not None and regression.suspect.off in ("lag", "high-pass"):
+    if regression.suspect is not None and regression.suspect.off in ("lag", "high-pass", "noise"):
         suspect = regression.suspect
     kinks, chain = regression.kinks, equation.chain
     if suspect is not None and suspect.off != "filter" and kinks is not None and 0.5 * suspect.sds**2 < kinks.gain:
@@ -283,7 +283,9 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
     if suspect is None and kinks is not None and not chain.stated:
         pulses = kinks.name in regression.motion.roles.inputs and not (chain.static or chain.discrete)
         verdict = with_kinks(verdict, kinks, pulses)
-    if suspect is not None and (late or verdict.kind in ("nearly true", "found") or verdict.advice == LONGER):
+    if suspect is not None and (
+        late or suspect.off == "noise" or verdict.kind in ("nearly true", "found") or verdict.advice == LONGER
+    ):
         seconds = [float(np.ptp(rows.time)) for rows in regression.motion.train if rows.time is not None]
         verdict = suspecting(verdict, suspect, max(seconds))
     odd = of_no_unit(equation.chain, equation.unit_gains, equation.units)
@@ -518,13 +520,11 @@ def warnings_of(equation: Equation, selection: Selection, against: Sequence[str]
         free = None if record is None else record.unstated(regression.k, one[0])
         said = f"it says {one[-1] if free is None else free:.4g}"
         yield f"the record contradicts {_stated(equation, *one)}: {said}; check both, or drop it", DataWarning
-    force = _against(equation, against)
-    if force is not None:
+    if (force := _against(equation, against)) is not None:
         against = f"{force} acts against {equation.chain.names[0]}"
         yield f"{against}: reverse it, if a force (--scale {force}=-1)", DataWarning
     beyond = selection.fit.beyond_bounds
-    contradicted = _against_signs(selection)
-    if contradicted:
+    if contradicted := _against_signs(selection):
         what = "sign" if selection.fit.constraints.bounds is None else "sign or bound"
         of = some_of(contradicted, 16)
         yield f"the data contradict the known {what} of {of}: check directions, or drop it", DataWarning

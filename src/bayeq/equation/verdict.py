@@ -159,6 +159,7 @@ def suspecting(verdict: Verdict, found: Suspect, seconds: float) -> Verdict:
             f"{name} may be {in_digits(size, 3)} too {much} throughout",
             f"--remove-offset {name}={found.value:.4g}",
         ),
+        "noise": (f"{name} has {size:.2g} times the noise that was stated", f"leave out --noise {name}, or correct it"),
         "filter": (
             f"channels look filtered above {in_digits(size, 3)} Hz",
             f"--band {1.0 / seconds:.1g}:{in_digits(size, 3)} allows for that",
@@ -177,7 +178,8 @@ def suspecting(verdict: Verdict, found: Suspect, seconds: float) -> Verdict:
         return replace(verdict, advice=f"{off}: {remedy}")
     advice = f"{CAREFUL}: {off}: {remedy}"
     if verdict.kind == "found":
-        return Verdict("nearly true", f"other channels contradict {name}", advice)
+        noise = f"the record contradicts the noise stated of {name}"
+        return Verdict("nearly true", noise if found.off == "noise" else f"other channels contradict {name}", advice)
     return replace(verdict, advice=advice)
 
 

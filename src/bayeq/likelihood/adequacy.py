@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bayeq.arrays import Floats, Ints
-from bayeq.likelihood.channels import Suspect, suspects_of
+from bayeq.likelihood.channels import Suspect, misstated, suspects_of
 from bayeq.likelihood.filter import run_filter
 from bayeq.likelihood.fit import State, Statistics, adjoints, bent_by, maximised, of_inputs, solved
 from bayeq.likelihood.hinges import Kinks, kinks_of
@@ -144,7 +144,8 @@ def adequacy_of(task: Task, fitted: Fitted) -> Adequacy:
     interval = float(np.median(np.concatenate([one.intervals for one in task.series])))
     discrepancies = [_discrepancy(task, state, here.value, c, interval) for c in range(task.layout.chains)]
     changes = changes_of(task, state, here, fitted.power)
-    innovations, suspects = _innovations(task, state, here.delta, interval), suspects_of(task, state, here)
+    innovations = _innovations(task, state, here.delta, interval)
+    suspects = misstated(task, state) or suspects_of(task, state, here)  # wrong noise lets channels seem off
     kinks = kinks_of(task, fitted, any(one.p <= LIKELIHOOD.test_level for one in discrepancies))
     return Adequacy(tuple(discrepancies), *innovations, changes, suspects, kinks)
 

@@ -37,6 +37,10 @@ from bayeq.states.sensors import bridged
 # 6, sensors that are off exceed 14: `tests/test_gains.py`) and changes its samples by more than a share of their sd.
 SUSPECTED, AS_SAID = 8.0, 1e-3
 
+# Logarithms of factors of the noise that was stated of a channel at which the likelihood is compared with that of the
+# stated one, and the distance from the likeliest of these within which the factor is sought.
+MULTIPLES, FINER = [math.log(2.0) * k for k in (-12, -8, -4, -2, -1, 1, 2, 4, 8, 12)], math.log(16.0)
+
 # Errors of channels are the same if one explains all but this share of what the other does: of two channels a factor of
 # either (1e-4), and not of three (0.3).
 SAME = 0.02
@@ -72,7 +76,7 @@ def calibration_of(task: Task, state: State, power: float = 1.0) -> Calibration:
     return Calibration(gains, covariance * np.outer(taken, taken), moved)
 
 
-Off = Literal["factor", "lag", "offset", "high-pass", "filter", "rate", "lost"]
+Off = Literal["factor", "lag", "offset", "high-pass", "filter", "rate", "lost", "noise"]
 
 
 class Suspect(NamedTuple):
@@ -82,7 +86,8 @@ class Suspect(NamedTuple):
     channel: str
     off: Off
     # factor less 1, of a channel or of the rate; lag [s], offset [unit of the channel], corner of the coupling [Hz],
-    # frequency [Hz] above which a filter left no noise, or time from the start of a record to rows that were lost [s]
+    # frequency [Hz] above which a filter left no noise, time from the start of a record to rows that were lost [s], or
+    # the likeliest factor of the noise that was stated
     value: float
     sds: float = 0.0  # size of `value` in standard deviations
     as_well: tuple[Suspect, ...] = ()  # others that explain about as much
@@ -139,6 +144,25 @@ def suspects_of(task: Task, state: State, here: Statistics) -> tuple[Suspect, ..
             as_well += [other for other in coupled.get(one.channel, ()) if one.sds**2 - other.sds**2 < 2.0 * CLEARLY]
         named[k] = one._replace(as_well=tuple(as_well))
     return (*out, *named.values(), *(one for some in coupled.values() for one in some))
+
+
+def misstated(task: Task, state: State) -> tuple[Suspect, ...]:
+    """Channels whose stated noise is clearly less likely than a multiple of it, other levels as they are."""
+    from scipy.optimize import minimize_scalar
+
+    levels, out = state.levels, []
+    for i in np.flatnonzero(~levels.learned).tolist():
+
+        def negative(log_factor: float, i: int = i) -> float:
+            variance = math.exp(2.0 * log_factor) * float(levels.channels[i])
+            return -task.value(replace(state, levels=levels.with_noise(i, variance)))
+
+        best = min(MULTIPLES, key=negative)
+        if negative(best) < negative(0.0) - CLEARLY:
+            least = minimize_scalar(negative, bounds=(best - FINER, best + FINER))
+            gain = negative(0.0) - float(least.fun)
+            out.append(Suspect(task.layout.channels[i][0], "noise", math.exp(float(least.x)), math.sqrt(2.0 * gain)))
+    return tuple(out)
 
 
 def _contradicted(layout: Layout, found: _Directions, sought: Sequence[tuple[int, Off]]) -> dict[int, Suspect]:
