@@ -70,7 +70,7 @@ class Known(Along):
     """A likelihood of one coefficient that is known."""
 
     def __init__(self, fall, power=1.0):
-        self.known, self.state, self.covariance = fall, self, np.eye(1)
+        self.known, self.state, self.covariance, self.single = fall, self, np.eye(1), False
         self.theta, self.fitted, self.power = np.zeros(1), self, power
 
     def _fall(self, k, theta, steps):

@@ -148,8 +148,6 @@ def suspects_of(task: Task, state: State, here: Statistics) -> tuple[Suspect, ..
 
 def misstated(task: Task, state: State) -> tuple[Suspect, ...]:
     """Channels whose stated noise is clearly less likely than a multiple of it, other levels as they are."""
-    from scipy.optimize import minimize_scalar
-
     levels, out = state.levels, []
     for i in np.flatnonzero(~levels.learned).tolist():
 
@@ -159,6 +157,8 @@ def misstated(task: Task, state: State) -> tuple[Suspect, ...]:
 
         best = min(MULTIPLES, key=negative)
         if negative(best) < negative(0.0) - CLEARLY:
+            from scipy.optimize import minimize_scalar
+
             least = minimize_scalar(negative, bounds=(best - FINER, best + FINER))
             gain = negative(0.0) - float(least.fun)
             out.append(Suspect(task.layout.channels[i][0], "noise", math.exp(float(least.x)), math.sqrt(2.0 * gain)))

@@ -49,12 +49,17 @@ class Along:
         That of the coefficients by the curvature at the fit.
     """
 
-    def __init__(self, task: Task, fitted: Fitted) -> None:
-        self.task, self.fitted, self.state = task, fitted, fitted.state
+    def __init__(self, task: Task, fitted: Fitted, single: bool = False) -> None:
+        self.task, self.fitted, self.state, self.single = task, fitted, fitted.state, single
         self.precision = task.precision_of(fitted.state)
         information = fitted.quadratic.information[np.ix_(fitted.model, fitted.model)] / fitted.power
         self.covariance = solved(information + np.diag(self.precision), np.eye(len(self.precision)))
-        self.top = self._about(self.state.theta)[0]
+        self.top = 0.0 if single else self._about(self.state.theta)[0]
+
+    @property
+    def normal(self) -> bool:
+        """Whether the likelihood falls as about a single maximum along each coefficient; known if `single`."""
+        return self.single or self.falls.min(initial=math.inf) > AS_ONE
 
     @cached_property
     def falls(self) -> Floats:
@@ -71,8 +76,9 @@ class Along:
     def widths(self) -> Floats:
         """Half-widths of the coefficients' 95 % intervals that the likelihood along each gives, in normal ones, (r,);
         1 where it is normal, and at least 1."""
-        normal = self.falls.min(axis=1) > AS_ONE
-        return np.array([1.0 if normal[k] else self._width(k) for k in range(len(normal))])
+        if self.normal:
+            return np.ones(len(self.state.theta))
+        return np.array([1.0 if one > AS_ONE else self._width(k) for k, one in enumerate(self.falls.min(axis=1))])
 
     def _width(self, k: int) -> float:
         (below, lower), (above, upper), power = self._followed(k, -1.0), self._followed(k, 1.0), self.fitted.power
@@ -126,7 +132,7 @@ class Along:
 def another(along: Along) -> tuple[Task, Fitted] | None:
     """The fit about another maximum; None if the likelihood has one maximum, or none is nearly as high as this."""
     task, fitted = along.task, along.fitted
-    if along.falls.min(initial=math.inf) > AS_ONE:
+    if along.normal:
         return None
     levels = fitted.state.levels
     discrepancy = np.maximum(levels.discrepancy, MUCH**2 * levels.target)

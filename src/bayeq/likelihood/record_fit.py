@@ -73,6 +73,7 @@ class RecordFit:
     forms: Forms = field(default_factory=dict)  # of each either-or, the log posteriors of its members
     # other values of constants with which the record is nearly as likely
     rivals: tuple[Mapping[str, float], ...] = ()
+    single: bool = False  # whether the likelihood along each coefficient has shown a single maximum
 
     @classmethod
     def of(cls, task: Task, fitted: Fitted) -> RecordFit:
@@ -203,7 +204,7 @@ class RecordFit:
         """The likelihood along each coefficient; None with constants or flows, or if series hold only some rows."""
         with suppress(np.linalg.LinAlgError), np.errstate(all="ignore"):
             if self.own and self.more is None and self.task.flows is None and not self.task.layout.has_constants:
-                return Along(self.task, self.fitted)
+                return Along(self.task, self.fitted, self.single)
         return None
 
     @cached_property
@@ -571,14 +572,15 @@ def _resumed(motion: Motion, task: Task, fitted: Fitted, places: Sequence[tuple[
     task, state = carried_over(motion, task, fitted, places)
     task, state = with_unequal_noise(task, state, motion.sensors)
     task, fitted, forms = with_constants(motion, task, resumed(task, state))
-    found = replace(RecordFit.of(task, fitted), forms=forms)
-    return _checked(found, motion)
+    return _checked(replace(RecordFit.of(task, fitted), forms=forms), motion)
 
 
 def _checked(found: RecordFit, motion: Motion, rivals: tuple[Mapping[str, float], ...] = ()) -> RecordFit:
     """The fit, or one about a likelier maximum, with its rivals; an error here if an equation cannot be solved."""
     with suppress(np.linalg.LinAlgError), np.errstate(all="ignore"):
         other = None if found.along is None else another(found.along)
+        if found.along is not None and found.along.normal:
+            found = replace(found, single=True)
         if other is not None:
             task, less = other
             if less.evidence > found.fitted.evidence:
@@ -587,8 +589,7 @@ def _checked(found: RecordFit, motion: Motion, rivals: tuple[Mapping[str, float]
             if found.along is not None and found.fitted.evidence < less.evidence + CLEARLY / found.fitted.power:
                 one = farthest(found.along, less, found.along.widths)
                 rivals = (*rivals, one) if one else rivals
-    rivals = rivals or found.elsewhere(motion)
-    return _solved(replace(found, rivals=rivals) if rivals else found)
+    return _solved(replace(found, rivals=rivals or found.elsewhere(motion)))
 
 
 def _solved(found: RecordFit) -> RecordFit:
