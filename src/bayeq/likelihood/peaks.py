@@ -61,6 +61,11 @@ class Along:
         """Whether the likelihood falls as about a single maximum along each coefficient; known if `single`."""
         return self.single or self.falls.min(initial=math.inf) > AS_ONE
 
+    @property
+    def plain(self) -> bool:
+        """Whether it falls as a normal one along each coefficient: it does so in more rows too."""
+        return self.single or bool((np.abs(self.falls - 0.5 * FAR**2) < NORMAL * 0.5 * FAR**2).all())
+
     @cached_property
     def falls(self) -> Floats:
         """Falls at FAR standard deviations below and above each coefficient, (r, 2)."""

@@ -73,7 +73,7 @@ class RecordFit:
     forms: Forms = field(default_factory=dict)  # of each either-or, the log posteriors of its members
     # other values of constants with which the record is nearly as likely
     rivals: tuple[Mapping[str, float], ...] = ()
-    single: bool = False  # whether the likelihood along each coefficient has shown a single maximum
+    single: bool = False  # whether the likelihood along each coefficient has shown to be normal
 
     @classmethod
     def of(cls, task: Task, fitted: Fitted) -> RecordFit:
@@ -553,7 +553,7 @@ def refit_record(
     try:
         with np.errstate(all="ignore"):
             places = [(record, 0) for record in range(len(motion.train))]
-            found: RecordFit | None = _resumed(motion, former.task, former.fitted, places)
+            found: RecordFit | None = _resumed(motion, former.task, former.fitted, places, former.single)
     except np.linalg.LinAlgError:
         found = None
     task, most = former.task, np.maximum(LIKELIHOOD.adequate, former.kappa * (1.0 + 2.0 * former.kappa_error))
@@ -568,19 +568,21 @@ def refit_record(
     return max(pairs, key=lambda one: one.likeliest, default=None)
 
 
-def _resumed(motion: Motion, task: Task, fitted: Fitted, places: Sequence[tuple[int, int]]) -> RecordFit:
+def _resumed(
+    motion: Motion, task: Task, fitted: Fitted, places: Sequence[tuple[int, int]], single: bool = False
+) -> RecordFit:
     task, state = carried_over(motion, task, fitted, places)
     task, state = with_unequal_noise(task, state, motion.sensors)
     task, fitted, forms = with_constants(motion, task, resumed(task, state))
-    return _checked(replace(RecordFit.of(task, fitted), forms=forms), motion)
+    return _checked(replace(RecordFit.of(task, fitted), forms=forms, single=single), motion)
 
 
 def _checked(found: RecordFit, motion: Motion, rivals: tuple[Mapping[str, float], ...] = ()) -> RecordFit:
     """The fit, or one about a likelier maximum, with its rivals; an error here if an equation cannot be solved."""
     with suppress(np.linalg.LinAlgError), np.errstate(all="ignore"):
         other = None if found.along is None else another(found.along)
-        if found.along is not None and found.along.normal:
-            found = replace(found, single=True)
+        if found.along is not None:
+            found = replace(found, single=found.along.plain)
         if other is not None:
             task, less = other
             if less.evidence > found.fitted.evidence:
