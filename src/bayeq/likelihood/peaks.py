@@ -81,31 +81,39 @@ class Along:
     def widths(self) -> Floats:
         """Half-widths of the coefficients' 95 % intervals that the likelihood along each gives, in normal ones, (r,);
         1 where it is normal, and at least 1."""
-        if self.normal:
-            return np.ones(len(self.state.theta))
-        return np.array([1.0 if one > AS_ONE else self._width(k) for k, one in enumerate(self.falls.min(axis=1))])
+        out = np.ones(len(self.state.theta))
+        for k in () if self.normal else np.flatnonzero(self.falls.min(axis=1) < AS_ONE).tolist():
+            out = np.maximum(out, self._reached(k))
+        return out
 
-    def _width(self, k: int) -> float:
-        (below, lower), (above, upper), power = self._followed(k, -1.0), self._followed(k, 1.0), self.fitted.power
+    def _reached(self, k: int) -> Floats:
+        """Distances of all coefficients from the fit where that of coefficient k is at the end of its interval, in
+        normal half-widths, (r,)."""
+        (below, lower, under), (above, upper, over) = self._followed(k, -1.0), self._followed(k, 1.0)
         at, falls = np.append(-below[::-1], above[1:]), np.append(lower[::-1], upper[1:])
-        places = np.linspace(at[0], at[-1], PLACES)
+        moves = np.concatenate([under[::-1], over[1:]]) / np.sqrt(np.diagonal(self.covariance))
+        places, power = np.linspace(at[0], at[-1], PLACES), self.fitted.power
         mass = np.cumsum(np.exp(-power * np.interp(places, at, np.sqrt(np.maximum(falls, 0.0))) ** 2))
         ends = np.interp([0.025, 0.975], mass / mass[-1], places)
-        return max(float(np.abs(ends).max()) * math.sqrt(power) / Z95, 1.0)
+        reached = [float(np.abs(np.interp(ends, at, one)).max()) for one in moves.T]
+        return np.array(reached) * math.sqrt(power) / Z95
 
-    def _followed(self, k: int, way: float) -> tuple[Floats, Floats]:
-        """Distances from the fit to one side of coefficient k, in standard deviations, and the falls there."""
+    def _followed(self, k: int, way: float) -> tuple[Floats, Floats, Floats]:
+        """Distances from the fit to one side of coefficient k, in standard deviations, the falls there, and the changes
+        of all coefficients, (m, r)."""
         before, now = self.state.theta, self.state.theta + way * FIRST * self._direction(k)
-        places, falls = [0.0, FIRST], [0.0]
+        places, falls, changes = [0.0, FIRST], [0.0], [np.zeros(len(before))]
         while len(falls) < MOST:
             fall, there = self._fall(k, now, STEPS)
+            if not math.isfinite(fall):  # the path does not lead there
+                fall, there = LOW / self.fitted.power, now
             falls.append(fall)
-            if not math.isfinite(fall) or fall * self.fitted.power > LOW:
+            changes.append(there - self.state.theta)
+            if fall * self.fitted.power >= LOW:
                 break
             before, now = there, there + LONGER * (there - before)
             places.append((1.0 + LONGER) * places[-1] - LONGER * places[-2])
-        falls[-1] = falls[-1] if math.isfinite(falls[-1]) else LOW / self.fitted.power
-        return np.array(places[: len(falls)]), np.array(falls)
+        return np.array(places[: len(falls)]), np.array(falls), np.array(changes)
 
     def _direction(self, k: int) -> Floats:
         """Change of all coefficients by one standard deviation of coefficient k, (r,)."""
