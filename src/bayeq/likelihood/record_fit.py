@@ -73,7 +73,7 @@ class RecordFit:
     forms: Forms = field(default_factory=dict)  # of each either-or, the log posteriors of its members
     # other values of constants with which the record is nearly as likely
     rivals: tuple[Mapping[str, float], ...] = ()
-    single: bool = False  # whether the likelihood along each coefficient has shown to be normal
+    seen: Along | None = None  # the likelihood along coefficients of this fit, or of one to fewer rows
 
     @classmethod
     def of(cls, task: Task, fitted: Fitted) -> RecordFit:
@@ -202,9 +202,11 @@ class RecordFit:
     @cached_property
     def along(self) -> Along | None:
         """The likelihood along each coefficient; None with constants or flows, or if series hold only some rows."""
+        if self.seen is not None and self.seen.fitted is self.fitted:
+            return self.seen
         with suppress(np.linalg.LinAlgError), np.errstate(all="ignore"):
             if self.own and self.more is None and self.task.flows is None and not self.task.layout.has_constants:
-                return Along(self.task, self.fitted, self.single)
+                return Along(self.task, self.fitted, self.seen is not None and self.seen.plain)
         return None
 
     @cached_property
@@ -553,7 +555,7 @@ def refit_record(
     try:
         with np.errstate(all="ignore"):
             places = [(record, 0) for record in range(len(motion.train))]
-            found: RecordFit | None = _resumed(motion, former.task, former.fitted, places, former.single)
+            found: RecordFit | None = _resumed(motion, former.task, former.fitted, places, former.seen)
     except np.linalg.LinAlgError:
         found = None
     task, most = former.task, np.maximum(LIKELIHOOD.adequate, former.kappa * (1.0 + 2.0 * former.kappa_error))
@@ -569,20 +571,18 @@ def refit_record(
 
 
 def _resumed(
-    motion: Motion, task: Task, fitted: Fitted, places: Sequence[tuple[int, int]], single: bool = False
+    motion: Motion, task: Task, fitted: Fitted, places: Sequence[tuple[int, int]], seen: Along | None = None
 ) -> RecordFit:
     task, state = carried_over(motion, task, fitted, places)
     task, state = with_unequal_noise(task, state, motion.sensors)
     task, fitted, forms = with_constants(motion, task, resumed(task, state))
-    return _checked(replace(RecordFit.of(task, fitted), forms=forms, single=single), motion)
+    return _checked(replace(RecordFit.of(task, fitted), forms=forms, seen=seen), motion)
 
 
 def _checked(found: RecordFit, motion: Motion, rivals: tuple[Mapping[str, float], ...] = ()) -> RecordFit:
     """The fit, or one about a likelier maximum, with its rivals; an error here if an equation cannot be solved."""
     with suppress(np.linalg.LinAlgError), np.errstate(all="ignore"):
         other = None if found.along is None else another(found.along)
-        if found.along is not None:
-            found = replace(found, single=found.along.plain)
         if other is not None:
             task, less = other
             if less.evidence > found.fitted.evidence:
@@ -591,7 +591,7 @@ def _checked(found: RecordFit, motion: Motion, rivals: tuple[Mapping[str, float]
             if found.along is not None and found.fitted.evidence < less.evidence + CLEARLY / found.fitted.power:
                 one = farthest(found.along, less, found.along.widths)
                 rivals = (*rivals, one) if one else rivals
-    return _solved(replace(found, rivals=rivals or found.elsewhere(motion)))
+    return _solved(replace(found, rivals=rivals or found.elsewhere(motion), seen=found.along))
 
 
 def _solved(found: RecordFit) -> RecordFit:
