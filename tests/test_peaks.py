@@ -70,10 +70,10 @@ class Known(Along):
     """A likelihood of one coefficient that is known."""
 
     def __init__(self, fall, power=1.0):
-        self.known, self.state, self.covariance, self.single = fall, self, np.eye(1), False
+        self.known, self.state, self.covariance = fall, self, np.eye(1)
         self.theta, self.fitted, self.power = np.zeros(1), self, power
 
-    def _fall(self, k, theta, steps):
+    def _fall(self, k, theta, steps, normal=math.inf):
         return self.known(float(theta[k])), theta
 
 

@@ -275,10 +275,10 @@ class Question:
             return math.inf if found is None or free[0] is None else free[0].of_motion - found.of_motion
 
         odds = lost(held[0])
+        if 0.0 < odds < CONTRADICTED:
+            said = f"(odds {odds_text(-odds)}): shown with it; check factors"
+            log.warn(f"the record speaks against {some_of(equal, 40, '; ')} {said}", DataWarning)
         if free[0] is None or odds < CONTRADICTED:
-            if free[0] is not None and odds > 0.0:
-                odds_said = f"(odds {odds_text(-odds)}): shown with it; check factors"
-                log.warn(f"the record speaks against {some_of(equal, 40, '; ')} {odds_said}", DataWarning)
             return held
         kept = tuple(text for text in equal if lost(given((text,))[0]) < CONTRADICTED)
         if lost(given(kept)[0]) >= CONTRADICTED:

@@ -301,7 +301,7 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
         return Verdict("not determined", f"the record contradicts {some_of(refused, 60)}", "check units, or drop it")
     if isinstance(regression, RecordRegression) and regression.record.rivals and verdict.kind != "none":
         other = ", ".join(f"{name} = {value:.4g}" for name, value in regression.record.rivals[0].items())
-        return Verdict("not determined", f"as likely with {other}", "give what you know of it, or measure longer")
+        return Verdict("not determined", f"as likely with {other}", "give its range ({a: 0.1..1}), or measure longer")
     if verdict.kind in ("none", "not determined"):
         return verdict
     ended = next(filter(is_at_end, equation.shown_constants), None)

@@ -26,7 +26,8 @@ from bayeq.numerics.distributions import Z95
 # [nats] that is taken for one. Where it differs from a normal one's by less than the share NORMAL with the others on
 # the tangent, these need not follow.
 FAR, NORMAL = 10.0, 0.1
-AS_ONE = 0.8 * 0.5 * FAR**2
+FALL = 0.5 * FAR**2
+AS_ONE = 0.8 * FALL
 
 # Discrepancies that another fit begins with, as a share of the target, and its Gauss-Newton steps with these.
 MUCH, CALM = 0.3, 12
@@ -49,22 +50,22 @@ class Along:
         That of the coefficients by the curvature at the fit.
     """
 
-    def __init__(self, task: Task, fitted: Fitted, single: bool = False) -> None:
-        self.task, self.fitted, self.state, self.single = task, fitted, fitted.state, single
+    def __init__(self, task: Task, fitted: Fitted) -> None:
+        self.task, self.fitted, self.state = task, fitted, fitted.state
         self.precision = task.precision_of(fitted.state)
         information = fitted.quadratic.information[np.ix_(fitted.model, fitted.model)] / fitted.power
         self.covariance = solved(information + np.diag(self.precision), np.eye(len(self.precision)))
-        self.top = 0.0 if single else self._about(self.state.theta)[0]
+        self.top = self._about(self.state.theta)[0]
 
     @property
     def normal(self) -> bool:
-        """Whether the likelihood falls as about a single maximum along each coefficient; known if `single`."""
-        return self.single or self.falls.min(initial=math.inf) > AS_ONE
+        """Whether the likelihood falls as about a single maximum along each coefficient."""
+        return bool((self.falls > AS_ONE).all())
 
     @property
     def plain(self) -> bool:
         """Whether it falls as a normal one along each coefficient: it does so in more rows too."""
-        return self.single or bool((np.abs(self.falls - 0.5 * FAR**2) < NORMAL * 0.5 * FAR**2).all())
+        return bool((np.abs(self.falls - FALL) <= NORMAL * FALL).all())
 
     @cached_property
     def falls(self) -> Floats:
@@ -72,9 +73,7 @@ class Along:
         out = np.empty((len(self.state.theta), 2))
         for k, way in np.ndindex(out.shape):
             there = self.state.theta + (2 * way - 1) * FAR * self._direction(k)
-            out[k, way] = self._fall(k, there, 0)[0]
-            if abs(out[k, way] - 0.5 * FAR**2) > NORMAL * 0.5 * FAR**2:
-                out[k, way] = self._fall(k, there, 1)[0]
+            out[k, way] = self._fall(k, there, 1, normal=FALL)[0]
         return out
 
     @cached_property
@@ -82,7 +81,7 @@ class Along:
         """Half-widths of the coefficients' 95 % intervals that the likelihood along each gives, in normal ones, (r,);
         1 where it is normal, and at least 1."""
         out = np.ones(len(self.state.theta))
-        for k in () if self.normal else np.flatnonzero(self.falls.min(axis=1) < AS_ONE).tolist():
+        for k in np.unique(np.argwhere(self.falls <= AS_ONE)[:, 0]).tolist():
             out = np.maximum(out, self._reached(k))
         return out
 
@@ -119,17 +118,20 @@ class Along:
         """Change of all coefficients by one standard deviation of coefficient k, (r,)."""
         return np.asarray(self.covariance[:, k] / np.sqrt(self.covariance[k, k]))
 
-    def _fall(self, k: int, theta: Floats, steps: int) -> tuple[float, Floats]:
+    def _fall(self, k: int, theta: Floats, steps: int, normal: float = math.inf) -> tuple[float, Floats]:
         """Fall of the likelihood from the fit to where coefficient k is that of `theta`, and all coefficients there:
-        the others after Gauss-Newton steps from `theta`."""
+        the others after Gauss-Newton steps from `theta`, which end where the fall is about `normal`."""
         rest, theta = np.arange(len(theta)) != k, theta.copy()
         try:
+            level, slope, information = self._about(theta)
             for _ in range(steps):
-                _, slope, information = self._about(theta)
+                if abs(self.top - level - normal) <= NORMAL * normal < math.inf:
+                    break
                 theta[rest] += solved(information[np.ix_(rest, rest)], slope[rest])
-            fall = self.top - self._about(theta)[0]
+                level, slope, information = self._about(theta)
         except np.linalg.LinAlgError:
             return math.inf, theta
+        fall = self.top - level
         return fall if math.isfinite(fall) else math.inf, theta
 
     def _about(self, theta: Floats) -> tuple[float, Floats, Floats]:

@@ -201,12 +201,13 @@ class RecordFit:
 
     @cached_property
     def along(self) -> Along | None:
-        """The likelihood along each coefficient; None with constants or flows, or if series hold only some rows."""
-        if self.seen is not None and self.seen.fitted is self.fitted:
-            return self.seen
+        """The likelihood along each coefficient; None with constants or flows, if series hold only some rows, or where
+        that of another fit to these or fewer rows is normal."""
+        if self.seen is not None and (self.seen.fitted is self.fitted or self.seen.plain):
+            return self.seen if self.seen.fitted is self.fitted else None
         with suppress(np.linalg.LinAlgError), np.errstate(all="ignore"):
             if self.own and self.more is None and self.task.flows is None and not self.task.layout.has_constants:
-                return Along(self.task, self.fitted, self.seen is not None and self.seen.plain)
+                return Along(self.task, self.fitted)
         return None
 
     @cached_property
@@ -586,12 +587,12 @@ def _checked(found: RecordFit, motion: Motion, rivals: tuple[Mapping[str, float]
         if other is not None:
             task, less = other
             if less.evidence > found.fitted.evidence:
-                higher, less = replace(RecordFit.of(task, less), forms=found.forms), found.fitted
-                found = _solved(higher)
+                higher = _solved(replace(RecordFit.of(task, less), forms=found.forms))
+                found, less = higher, found.fitted
             if found.along is not None and found.fitted.evidence < less.evidence + CLEARLY / found.fitted.power:
                 one = farthest(found.along, less, found.along.widths)
                 rivals = (*rivals, one) if one else rivals
-    return _solved(replace(found, rivals=rivals or found.elsewhere(motion), seen=found.along))
+    return _solved(replace(found, rivals=rivals or found.elsewhere(motion), seen=found.along or found.seen))
 
 
 def _solved(found: RecordFit) -> RecordFit:
