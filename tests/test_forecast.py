@@ -74,12 +74,13 @@ def test_equations_without_inputs_run_together(lorenz, flow):
         np.testing.assert_allclose(run.mean[name], theirs, rtol=0, atol=1e-3 * theirs.std())
 
 
-def runs(chain, laws, start, time):
-    """Free run of x' = ... or x'' = ... as texts, without inputs."""
+def runs(chain, laws, start, time, share=1, enough=()):
+    """Free run of x' = ... or x'' = ... as texts, without inputs, in steps of this share of an interval."""
     tape = Tape.compile([parse(text) for text in laws], chain)
     out = np.empty((1, len(time), len(chain)))
     wide = np.full(len(chain), np.inf)
     drive = Drive.over(time, np.empty((len(time), 0, 4)), -wide, wide)
+    drive = drive._replace(step=drive.step / share, enough=np.array(enough, dtype=float))
     stopped = np.zeros(1, np.uint32)
     free_runs(tape.program(), drive, np.empty((1, 0)), np.array([start], dtype=float), stopped, out)
     return out[0]
@@ -101,6 +102,16 @@ def test_terms_that_jump():
     time = np.linspace(0.0, 3.0 * math.pi, 30_001)
     x = runs(["x", "v"], ["v", "-x-0.1*sign(v)"], [1.0, 0.0], time)[:, 0]
     np.testing.assert_allclose(x[[10_000, 20_000, 30_000]], [-0.8, 0.6, -0.4], atol=1e-3)
+
+
+def test_short_steps_are_taken_only_near_jumps():
+    time = np.linspace(0.0, 3.0 * math.pi, 301)
+    friction = (["x", "v"], ["v", "-x-0.1*sign(v)"], [1.0, 0.0], time)
+    short, mixed, coarse = runs(*friction, 16), runs(*friction, 16, [1e-7, 1e-7]), runs(*friction, 2)
+    assert np.abs(mixed - short).max() < 1e-5 < 1e-4 < np.abs(coarse - short).max()
+    # between jumps the steps are the long ones: twenty intervals of the first half swing
+    np.testing.assert_array_equal(mixed[80:100], runs(*friction[:2], mixed[80], time[80:100], 2))
+    assert not np.array_equal(mixed[80:100], runs(*friction[:2], mixed[80], time[80:100], 16))
 
 
 def test_nothing_is_compiled_or_executed_for_an_equation(monkeypatch, record, found):

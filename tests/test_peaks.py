@@ -70,11 +70,12 @@ class Known(Along):
     """A likelihood of one coefficient that is known."""
 
     def __init__(self, fall, power=1.0):
-        self.known, self.state, self.covariance = fall, self, np.eye(1)
+        self.of, self.state, self.covariance = fall, self, np.eye(1)
         self.theta, self.fitted, self.power = np.zeros(1), self, power
+        self.known = np.zeros(1, dtype=bool)
 
     def _fall(self, k, theta, steps, normal=math.inf):
-        return self.known(float(theta[k])), theta
+        return self.of(float(theta[k])), theta
 
 
 @pytest.mark.parametrize("power", [1.0, 0.25])

@@ -21,8 +21,8 @@ from bayeq.numerics.rk4 import Drive, local_errors
 from bayeq.states import Chain, Motion, Roles, rates
 
 # The step is halved until the local error is below TOLERANCE of the states' spread in this SHARE of the intervals, but
-# not below 1/MOST_SUBSTEPS of the sampling interval. Laws that jump use that shortest step: at a jump the Runge-Kutta
-# method loses its order, and the error depends on the step.
+# not below 1/MOST_SUBSTEPS of the sampling interval. Laws that jump use that shortest step where two steps an interval
+# are not as accurate: at a jump the Runge-Kutta method loses its order, and the error depends on the step.
 SHARE = 0.75
 TOLERANCE = 1e-6
 MOST_SUBSTEPS = 16
@@ -118,6 +118,11 @@ class Dynamics:
         """Names of the states, in the tape's order."""
         return self.roles.states
 
+    @cached_property
+    def jumps(self) -> bool:
+        """Whether a term jumps."""
+        return any(True for own in self.terms for term in own for _ in jumps_of(term.tree))
+
     @property
     def size(self) -> int:
         """Number of parameters."""
@@ -187,11 +192,10 @@ def finest_step(dynamics: Dynamics, parameters: Floats, states: Floats, drive: D
     """
     if dynamics.roles.discrete:
         return 0.0
-    interval = float(np.median(drive.intervals))
-    scale = np.array([_spread(column) for column in states.T])
+    interval, scale = float(np.median(drive.intervals)), spreads(states)
     errors = np.empty(len(drive.intervals))
     program = dynamics.program(parameters)
-    substeps = MOST_SUBSTEPS if any(True for own in dynamics.terms for term in own for _ in jumps_of(term.tree)) else 1
+    substeps = MOST_SUBSTEPS if dynamics.jumps else 1
     while substeps < MOST_SUBSTEPS:
         local_errors(program, drive._replace(step=interval / substeps), states, scale, errors)
         finite = errors[np.isfinite(states[:-1]).all(axis=1)]
@@ -200,6 +204,11 @@ def finest_step(dynamics: Dynamics, parameters: Floats, states: Floats, drive: D
             break
         substeps *= 2
     return interval / substeps
+
+
+def spreads(states: Floats) -> Floats:
+    """A standard deviation of each state, (d,), of those values, (n, d), that are finite."""
+    return np.array([_spread(column) for column in states.T])
 
 
 def _spread(column: Floats) -> float:

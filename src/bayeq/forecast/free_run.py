@@ -15,7 +15,7 @@ from bayeq.errors import InputError, UnknownNameError, in_digits, whole_number
 from bayeq.expressions.parse import EARLIER
 from bayeq.figures.runs import draw_forecasts
 from bayeq.figures.style import joined, write_output
-from bayeq.forecast.dynamics import Dynamics, finest_step, normal_draws
+from bayeq.forecast.dynamics import TOLERANCE, Dynamics, finest_step, normal_draws, spreads
 from bayeq.forecast.rows import Courses, Rows, between, normalised_error, require_time, rows_of, window_of
 from bayeq.inference.posterior import Projected
 from bayeq.numerics.rk4 import Drive, check_interpolation, free_runs, interpolant, shoot
@@ -290,6 +290,8 @@ def mean_run(dynamics: Dynamics, parameters: Floats, first: Floats, drive: Drive
         if finer >= 0.999 * drive.step:
             return out[0], reached if reached < n else None, drive
         drive = drive._replace(step=finer)
+        if dynamics.jumps:
+            drive = drive._replace(enough=TOLERANCE * spreads(out[0, :judged]))
 
 
 def typical_period(dynamics: Dynamics, pieces: Sequence[Rows]) -> float:
@@ -463,12 +465,11 @@ def window_runs(
         if length < least:
             continue
         count = max(1, round(WINDOWS * rows.n / len(whole)))
-        step = drive.step
         for first in np.linspace(0, rows.n - length, count).astype(int):
             end = first + length
+            run, _, needed = mean_run(dynamics, theta, known[first] + off, drive.part(first, end))
             # a step that another window needed is not too long for this one
-            run, _, needed = mean_run(dynamics, theta, known[first] + off, drive.part(first, end)._replace(step=step))
-            step = needed.step
+            drive = drive._replace(step=needed.step, enough=needed.enough)
             out.append((run / scale, known[first:end] / scale))
     return out
 

@@ -120,11 +120,13 @@ def blur_of(
     for j, jump in enumerate(layout.jumps):
         argument = Expression(jump.arguments[0])
         values, gradient = evaluate(argument), _gradient(columns, layout.names, covariance, argument)
-        error = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", gradient, covariance, gradient), 0.0))
+        own = np.flatnonzero(gradient.any(axis=0))
+        slope = gradient[:, own]
+        error = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", slope, covariance[:, own[:, None], own], slope), 0.0))
         steps = substeps if inside[j] else np.full(n - 1, substeps.min())
         change = _at_both_ends(np.where(passing[:, j], np.abs(np.diff(values)), 0.0) / steps)
         half = _halves(layout, chosen, theta, j, evaluate, n)
-        moved = np.abs(np.einsum("ni,nic->nc", gradient[:-1], push) * half[:-1]).sum(axis=1) / steps
+        moved = np.abs(np.einsum("ni,nic->nc", slope[:-1], push[:, own]) * half[:-1]).sum(axis=1) / steps
         floor = np.maximum(SLOPE * _at_both_ends(moved), LEAST * np.abs(values).max() + np.finfo(float).tiny ** 0.5)
         width[:, j] = np.maximum(np.sqrt(error**2 + UNIFORM * change**2), floor)
         share = unresolved_share(jump, evaluate, width[:, j], np.maximum(error, LEAST_ERROR * width[:, j]))

@@ -258,6 +258,16 @@ class Layout:
 
     def tape(self, chosen: Candidates) -> Tape:
         """Tape of rates of states (in maps next values), targets, terms; if implicit bare targets, (I - A)^-1 too."""
+        key = chosen.chain.tobytes(), chosen.term.tobytes()
+        if key not in self._tapes:
+            self._tapes[key] = self._compiled(chosen)
+        return self._tapes[key]
+
+    @cached_property
+    def _tapes(self) -> dict[tuple[bytes, bytes], Tape]:
+        return {}
+
+    def _compiled(self, chosen: Candidates) -> Tape:
         parameters = [f"theta[{j}]" for j in range(len(chosen.chain))]
         targets: list[Node] = [Symbol(f"d[{c}]") for c in range(self.chains)]
         terms: list[Node] = [self.blurred[j].tree if j < len(self.terms) else number(1) for j in chosen.term]

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -31,7 +32,12 @@ POWER, HIGHEST = 0.9, 0.1
 def feedback(order: int, corner: float, intervals: Floats) -> Floats:
     """Feedback gains (n, `order`): their product with the states at the end of a step is the mean of the highest
     derivative after it. The corner is in rad/s, intervals, (n,), are in seconds."""
-    different, which = np.unique(intervals, return_inverse=True)
+    return _feedback(order, corner, intervals.tobytes())
+
+
+@lru_cache(maxsize=4)
+def _feedback(order: int, corner: float, buffer: bytes) -> Floats:
+    different, which = np.unique(np.frombuffer(buffer), return_inverse=True)
     rows = np.linalg.solve(_free(order).T, _rows(order, corner * different).T).T
     return np.asarray(rows * different[:, None] ** np.arange(1.0 - order, 1.0))[which]
 

@@ -9,15 +9,19 @@ smoothed states, which has one maximum. Intervals reach as far as the likelihood
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
-from bayeq.arrays import Floats
+from bayeq.arrays import Bools, Floats
 from bayeq.likelihood.filter import run_filter
-from bayeq.likelihood.fit import linearised, of_stated, quadratic, solved
+from bayeq.likelihood.fit import Quadratic, linearised, of_stated, quadratic, solved
+from bayeq.likelihood.layout import NOTHING, Candidates
+from bayeq.likelihood.linear import Linear
 from bayeq.likelihood.model import Fitted, Task, fit
 from bayeq.likelihood.search import CLEARLY, settle
 from bayeq.numerics.distributions import Z95
@@ -44,34 +48,50 @@ PLACES = 2000
 class Along:
     """The likelihood of a fit's model, levels given, along one coefficient with all others where they are likeliest.
 
+    What holds for `former`, that of a fit to fewer rows, holds for more rows too.
+
     Attributes
     ----------
     covariance : (r, r) array
         That of the coefficients by the curvature at the fit.
+    known : (r,) array of bool
+        Coefficients along which the likelihood of `former` falls as a normal one.
+    single : bool
+        Whether no other maximum nearly as high was found.
     """
 
-    def __init__(self, task: Task, fitted: Fitted) -> None:
+    def __init__(self, task: Task, fitted: Fitted, former: Along | None = None) -> None:
         self.task, self.fitted, self.state = task, fitted, fitted.state
+        self.single: bool = former is not None and former.single
+        self.known = np.zeros(len(fitted.state.theta), dtype=np.bool_)
+        if former is not None:
+            self.known = former.plain[fitted.model]
         self.precision = task.precision_of(fitted.state)
         information = fitted.quadratic.information[np.ix_(fitted.model, fitted.model)] / fitted.power
         self.covariance = solved(information + np.diag(self.precision), np.eye(len(self.precision)))
-        self.top = self._about(self.state.theta)[0]
+
+    @cached_property
+    def top(self) -> float:
+        """ln p(data, coefficients | levels) at the fit, up to a constant."""
+        return self._level(self.state.theta, self._models(self.state.theta))
 
     @property
     def normal(self) -> bool:
         """Whether the likelihood falls as about a single maximum along each coefficient."""
         return bool((self.falls > AS_ONE).all())
 
-    @property
-    def plain(self) -> bool:
-        """Whether it falls as a normal one along each coefficient: it does so in more rows too."""
-        return bool((np.abs(self.falls - FALL) <= NORMAL * FALL).all())
+    @cached_property
+    def plain(self) -> Bools:
+        """Whether it falls as a normal one along each coefficient of the model, among all, (C (P + 1),)."""
+        out = np.zeros(len(self.fitted.model), dtype=np.bool_)
+        out[self.fitted.model] = (np.abs(self.falls - FALL) <= NORMAL * FALL).all(axis=1)
+        return out
 
     @cached_property
     def falls(self) -> Floats:
         """Falls at FAR standard deviations below and above each coefficient, (r, 2)."""
-        out = np.empty((len(self.state.theta), 2))
-        for k, way in np.ndindex(out.shape):
+        out = np.full((len(self.known), 2), FALL)
+        for k, way in itertools.product(np.flatnonzero(~self.known).tolist(), (0, 1)):
             there = self.state.theta + (2 * way - 1) * FAR * self._direction(k)
             out[k, way] = self._fall(k, there, 1, normal=FALL)[0]
         return out
@@ -123,31 +143,43 @@ class Along:
         the others after Gauss-Newton steps from `theta`, which end where the fall is about `normal`."""
         rest, theta = np.arange(len(theta)) != k, theta.copy()
         try:
-            level, slope, information = self._about(theta)
+            linears = self._models(theta)
+            if normal < math.inf:
+                fall = self.top - self._level(theta, linears)
+                if abs(fall - normal) <= NORMAL * normal:
+                    return fall, theta
             for _ in range(steps):
-                if abs(self.top - level - normal) <= NORMAL * normal < math.inf:
-                    break
-                theta[rest] += solved(information[np.ix_(rest, rest)], slope[rest])
-                level, slope, information = self._about(theta)
+                found = self._expanded(theta, linears)
+                theta[rest] += solved(found.information[np.ix_(rest, rest)], found.slope[rest])
+                linears = self._models(theta)
+            fall = self.top - self._level(theta, linears)
         except np.linalg.LinAlgError:
             return math.inf, theta
-        fall = self.top - level
         return fall if math.isfinite(fall) else math.inf, theta
 
-    def _about(self, theta: Floats) -> tuple[float, Floats, Floats]:
-        """ln p(data, coefficients | levels) up to a constant, its slope and information."""
-        task, state = self.task, replace(self.state, theta=theta)
-        linears = linearised(task.layout, task.series, state, task.substeps)
-        found = quadratic([run_filter(one, state.chosen, state.levels.noise, keep=False) for one in linears])
-        found += of_stated(state.levels.layout.stated, state.chosen, theta)
+    def _expanded(self, theta: Floats, linears: Sequence[Linear]) -> Quadratic:
+        """ln p(data, coefficients | levels) up to a constant, about coefficients and the models there."""
+        found = self._filtered(linears, self.state.chosen)
+        found += of_stated(self.state.levels.layout.stated, self.state.chosen, theta)
         pull = self.precision * theta
-        return found.level - 0.5 * float(theta @ pull), found.slope - pull, found.information + np.diag(self.precision)
+        return found + Quadratic(-0.5 * float(theta @ pull), -pull, np.diag(self.precision))
+
+    def _level(self, theta: Floats, linears: Sequence[Linear]) -> float:
+        """The same there, without its slope and information."""
+        stated = of_stated(self.state.levels.layout.stated, self.state.chosen, theta)
+        return self._filtered(linears, NOTHING).level + stated.level - 0.5 * float(self.precision @ theta**2)
+
+    def _filtered(self, linears: Sequence[Linear], columns: Candidates) -> Quadratic:
+        return quadratic([run_filter(one, columns, self.state.levels.noise, keep=False) for one in linears])
+
+    def _models(self, theta: Floats) -> list[Linear]:
+        return linearised(self.task.layout, self.task.series, replace(self.state, theta=theta), self.task.substeps)
 
 
 def another(along: Along) -> tuple[Task, Fitted] | None:
     """The fit about another maximum; None if the likelihood has one maximum, or none is nearly as high as this."""
     task, fitted = along.task, along.fitted
-    if along.normal:
+    if along.normal or along.single:
         return None
     levels = fitted.state.levels
     discrepancy = np.maximum(levels.discrepancy, MUCH**2 * levels.target)

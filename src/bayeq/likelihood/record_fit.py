@@ -201,13 +201,12 @@ class RecordFit:
 
     @cached_property
     def along(self) -> Along | None:
-        """The likelihood along each coefficient; None with constants or flows, if series hold only some rows, or where
-        that of another fit to these or fewer rows is normal."""
-        if self.seen is not None and (self.seen.fitted is self.fitted or self.seen.plain):
-            return self.seen if self.seen.fitted is self.fitted else None
+        """The likelihood along each coefficient; None with constants or flows, or if series hold only some rows."""
+        if self.seen is not None and self.seen.fitted is self.fitted:
+            return self.seen
         with suppress(np.linalg.LinAlgError), np.errstate(all="ignore"):
             if self.own and self.more is None and self.task.flows is None and not self.task.layout.has_constants:
-                return Along(self.task, self.fitted)
+                return Along(self.task, self.fitted, self.seen)
         return None
 
     @cached_property
@@ -583,7 +582,10 @@ def _resumed(
 def _checked(found: RecordFit, motion: Motion, rivals: tuple[Mapping[str, float], ...] = ()) -> RecordFit:
     """The fit, or one about a likelier maximum, with its rivals; an error here if an equation cannot be solved."""
     with suppress(np.linalg.LinAlgError), np.errstate(all="ignore"):
-        other = None if found.along is None else another(found.along)
+        along = found.along
+        other = None if along is None else another(along)
+        if along is not None:
+            along.single = other is None
         if other is not None:
             task, less = other
             if less.evidence > found.fitted.evidence:

@@ -35,6 +35,8 @@ class Drive(NamedTuple):
     step: float  # longest step of integration [s]; intervals are divided evenly. 0 for a map, which is not integrated
     low: Floats  # (d,), the range of the states; a run that leaves it, or is not finite, stops
     high: Floats  # (d,)
+    # (d,), the change of each state by halving an interval's step with which two steps are enough there; or empty
+    enough: Floats = np.zeros(0)
 
     @classmethod
     def over(cls, time: Floats, inputs: Floats, low: Floats, high: Floats) -> Drive:
@@ -163,6 +165,22 @@ def steps_in(interval: float, step: float) -> int:
 
 
 @kernel
+def _halved(program: Program, drive: Drive, row: int, steps: int, scale: Floats, coarse: Floats, fine: Floats) -> float:
+    """Advance ``coarse[0]`` by `steps`, and ``fine[0]`` from there by twice as many: the largest change, in `scale`."""
+    interval, largest = drive.intervals[row], 0.0
+    for i in range(len(scale)):
+        fine[0, i] = coarse[0, i]
+    advance(program, drive.inputs, row, interval, steps, None, coarse)
+    advance(program, drive.inputs, row, interval, 2 * steps, None, fine)
+    for i in range(len(scale)):
+        error = abs(coarse[0, i] - fine[0, i]) / scale[i]
+        if math.isnan(error):
+            return math.inf
+        largest = max(largest, error)
+    return largest
+
+
+@kernel
 def free_runs(
     program: Program, drive: Drive, parameters: Floats, current: Floats, stopped: IndexArray, out: Floats
 ) -> None:
@@ -170,11 +188,12 @@ def free_runs(
 
     `current` (runs, d) holds the states at the first sample, and afterwards those at the last, so that the next call
     can go on. `stopped` (runs,) is 0, or the row (counted from 1) at which a run left its range. `out` (runs, n, d)
-    receives the states at the samples, NaN from where a run stopped.
+    receives the states at the samples, NaN from where a run stopped. Where ``drive.enough`` says so an interval is two
+    steps.
     """
     runs, n, size = out.shape
     first = size + drive.inputs.shape[1]
-    work = np.empty((STAGES, size))
+    work, coarse, fine = np.empty((STAGES, size)), np.empty((STAGES, size)), np.empty((STAGES, size))
     for run in range(runs):
         for j in range(parameters.shape[1]):
             program.registers[first + j] = parameters[run, j]
@@ -193,7 +212,15 @@ def free_runs(
                 out[run, row, i] = work[0, i]
             if row < n - 1:
                 interval = drive.intervals[row]
-                advance(program, drive.inputs, row, interval, steps_in(interval, drive.step), None, work)
+                steps = steps_in(interval, drive.step)
+                if len(drive.enough) > 0 and steps > 3:
+                    for i in range(size):
+                        coarse[0, i] = work[0, i]
+                    if _halved(program, drive, row, 1, drive.enough, coarse, fine) <= 1.0:
+                        for i in range(size):
+                            work[0, i] = fine[0, i]
+                        continue
+                advance(program, drive.inputs, row, interval, steps, None, work)
         for i in range(size):
             current[run, i] = work[0, i]
 
@@ -207,16 +234,8 @@ def local_errors(program: Program, drive: Drive, states: Floats, scale: Floats, 
     for row in range(states.shape[0] - 1):
         for i in range(size):
             coarse[0, i] = states[row, i]
-            fine[0, i] = states[row, i]
-        interval = drive.intervals[row]
-        steps = steps_in(interval, drive.step)
-        advance(program, drive.inputs, row, interval, steps, None, coarse)
-        advance(program, drive.inputs, row, interval, 2 * steps, None, fine)
-        out[row] = 0.0
-        for i in range(size):
-            error = abs(coarse[0, i] - fine[0, i]) / scale[i]
-            if not error <= out[row]:  # NaN too
-                out[row] = error
+        steps = steps_in(drive.intervals[row], drive.step)
+        out[row] = _halved(program, drive, row, steps, scale, coarse, fine)
 
 
 @kernel
