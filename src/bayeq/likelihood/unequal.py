@@ -1,6 +1,7 @@
 """Noise with a different variance for every sample, estimated alternately with the fit.
 
-Heavy tails: Student's t is such noise (Lange, Little and Taylor 1989); degrees of freedom are estimated per channel,
+Several records: each channel has a variance in every record, if these are likelier than common ones by the Bayesian
+information criterion (Schwarz 1978). Heavy tails: Student's t is such noise (Lange, Little and Taylor 1989); degrees of freedom are estimated per channel,
 and Gaussian noise stays as it is. In proportion to the reading: variance a + b x^2 of a channel that measures x, both
 learned, or b x^2 if the share sqrt(b) is given.
 """
@@ -15,7 +16,7 @@ import numpy as np
 
 from bayeq.arrays import Floats
 from bayeq.likelihood.filter import run_filter
-from bayeq.likelihood.fit import State
+from bayeq.likelihood.fit import State, adjoints, marginal
 from bayeq.likelihood.layout import Layout, Series
 from bayeq.likelihood.model import Task, fit
 from bayeq.states import Sensors
@@ -32,6 +33,9 @@ AT_FIRST = 1e-2
 # Most rounds of fit and variances, and most steps to the scale of a t distribution; both end when the median change of
 # the variances of samples, or the change of the scale, is less than this share.
 ROUNDS, STEPS, SETTLED = 8, 50, 1e-3
+
+# Variances of records are settled at these changes of their logarithms: in a step on a fixed path, and by another fit.
+STEADY, STILL = 0.01, 0.05
 
 
 class Tails(NamedTuple):
@@ -123,9 +127,9 @@ def in_proportion(
 
 
 def with_unequal_noise(task: Task, state: State, sensors: Sensors) -> tuple[Task, State]:
-    """The task with a variance of each sample where sensors ask for it, and the fit of the same model to it."""
+    """The task with a variance of each sample, by record or as sensors ask for, and the fit of the same model to it."""
     if sensors.tails != "student" and not sensors.of_reading:
-        return task, state
+        return with_noise_of_records(task, state)
     before = [one.spread for one in task.series]
     for _ in range(ROUNDS):
         task, state = _spread(task, state, sensors)
@@ -136,6 +140,53 @@ def with_unequal_noise(task: Task, state: State, sensors: Sensors) -> tuple[Task
             break
         before = now
     return task, state
+
+
+def with_noise_of_records(task: Task, state: State) -> tuple[Task, State]:
+    """The task with noise of its own in every record, if that is clearly likelier, and the fit of the same model."""
+    for _ in range(ROUNDS if len(task.series) > 1 else 0):
+        before = np.log([one.spread[0] for one in task.series])
+        variance, weights = _of_records(task, state)
+        channels = (weights * variance).sum(axis=0)
+        now = np.log(variance / channels)
+        if np.abs(now - before).max() < STILL:
+            break
+        series = [
+            one._replace(spread=_rows_of(own, one.samples)) for own, one in zip(np.exp(now), task.series, strict=True)
+        ]
+        task = replace(task, series=tuple(series))
+        state = fit(task, replace(state, levels=replace(state.levels, channels=channels))).state
+    return task, state
+
+
+def _of_records(task: Task, state: State) -> tuple[Floats, Floats]:
+    """Variances of the channels' noise in the records, (R, M), and each record's share of the channel's samples.
+
+    They maximise the marginal likelihood on the path of the state, by expectation and maximisation (Shumway and Stoffer
+    1982), or stay common where the slopes there promise too little.
+    """
+    levels, precision, linears = state.levels, task.precision_of(state), task.linearised(state)
+    counts = np.array([np.isfinite(one.residual).sum(axis=0) for one in linears], dtype=np.float64)
+    weights, least = counts / np.maximum(counts.sum(axis=0), 1.0), np.exp(levels.bounds[0][: counts.shape[1]])
+    ratio, free = np.array([one.spread[0] for one in task.series]), levels.learned & (counts > 0.0)
+    common = bool((ratio == 1.0).all())
+    needed = 0.5 * (len(counts) - 1) * np.count_nonzero(levels.learned) * math.log(counts.sum())
+    for _ in range(STEPS):
+        own = [one._replace(spread=_rows_of(r, one.residual)) for r, one in zip(ratio, linears, strict=True)]
+        found = marginal(own, state, levels, precision)
+        slopes = adjoints(own, levels, found, found.delta, found.covariance)
+        step = 2.0 * levels.channels * np.array([one.channels for one in slopes]) / np.maximum(counts, 1.0)
+        if common and float((0.25 * counts * step**2)[free].sum()) < needed:
+            break
+        common = False
+        ratio = np.where(free, np.maximum(ratio * np.maximum(1.0 + step, 0.1), least / levels.channels), ratio)
+        if np.abs(step[free]).max(initial=0.0) < STEADY:
+            break
+    return levels.channels * ratio, weights
+
+
+def _rows_of(ratio: Floats, samples: Floats) -> Floats:
+    return np.tile(ratio, (len(samples), 1))
 
 
 def _spread(task: Task, state: State, sensors: Sensors) -> tuple[Task, State]:
