@@ -56,8 +56,8 @@ def build(session: Session) -> None:
     with ui.element("div"):  # the framework puts it into the main element
         ui.html("bayeq", tag="h1", sanitize=False)
         text(
-            "From a measured motion to the equation that governs it, with how sure that is. Everything is computed on"
-            " this computer; no data leave it.",
+            "From a measured motion to the equation that governs it, and how certain that equation is. Everything is"
+            " computed on this computer; no data leave it.",
             "lead",
         )
         heading(1, "Measured file")
@@ -169,7 +169,7 @@ def choice_steps(session: Session) -> None:
     heading(2, "What each channel is")
     text(
         "Roles are proposed from names, units and the motion itself: change what is wrong. A unit replaces that of the"
-        " file; an offset is subtracted, a number or mean.",
+        " file; an offset, a number or the word mean, is subtracted.",
         "note",
     )
     several = any(choice.coordinate > 1 or choice.role == RATE for choice in session.choices.roles.values())

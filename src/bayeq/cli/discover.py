@@ -237,7 +237,7 @@ def source_of(
     refine: bool,
     progress: Callable[[str, int, int], None],
 ) -> tuple[Sequence[Record], Any]:
-    """Records for checks and outputs, and the `records` of `bayeq.discover`: the same, or the extents of long files."""
+    """Records for checks and outputs, and the `records` of `bayeq.discover`: these, or the extents of long files."""
     if not reading.streamed(files):
         records = reading.records(files, used, paths, progress)
         return records, records

@@ -155,7 +155,7 @@ def paths_of(texts: Sequence[str], names: Sequence[str]) -> dict[str, str]:
 
 @click.command(cls=opt.Command, epilog=BENCHMARK)
 @opt.option("--train", type=opt.FILE, required=True, help="Measured file, or equations of discover --save (.json).")
-@opt.option("--test", "tests", type=opt.FILE, multiple=True, required=True, help="File of the test; once per file.")
+@opt.option("--test", "tests", type=opt.FILE, multiple=True, required=True, help="Test file; repeat for each file.")
 @opt.option("--skip", type=int, default=50, help="Rows of the test from which the initial state is; not scored.")
 @opt.measured("--chain", "chains", multiple=True, help="As for bayeq discover: x, x::, x:v:a. Once per coordinate.")
 @opt.measured("--input", "inputs", multiple=True, help="Input channel; once per input.")

@@ -123,7 +123,7 @@ def figures(folder: Path, seed: int, systems: str) -> None:
 # Options of the published benchmarks (dysts, ODEBench).
 _of_others = together(
     option("--systems", help="Systems, separated by commas; by default all."),
-    option("--seeds", "records", type=int, default=1, help="Records of each system and noise."),
+    option("--seeds", "records", type=int, default=1, help="Number of seeds; each draws new records for every case."),
     option("--seed", "first_seed", type=int, default=0, help="Seed of the first record."),
     _jobs,
     option(

@@ -588,7 +588,7 @@ def _of_residuals(equation: Equation, regression: Regression) -> Said:
 
 
 def _of_hidden_noise(equation: Equation, regression: Regression) -> Said:
-    """Warnings about noise of inputs that the record hides: the coefficient that it would shift most."""
+    """Warnings of inputs whose noise is neither given nor visible: the coefficient that such noise would shift most."""
     for name in inputs_of_hidden_noise(regression, equation.shown_posterior):
         try:
             changes = changes_by_noise(regression, equation.shown_posterior, name, [NOISE_OF_INPUT])

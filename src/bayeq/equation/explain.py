@@ -69,9 +69,9 @@ def _of_terms(equation: Equation, score: str) -> Iterator[str]:
     if share is not None and kept.any():
         largest = max(np.flatnonzero(kept), key=lambda j: share[j])
         yield (
-            f"share: how much of the variation of {equation.target} nothing else explains when the term is left out. It"
-            f" is largest for {equation.terms[largest].text}; a term may be small and still certain, as damping often"
-            " is."
+            f"share: how much of the variation of {equation.target} is no longer explained when the term is left"
+            f" out. It is largest for {equation.terms[largest].text}; a term may be small and still certain, as damping"
+            " often is."
         )
 
 

@@ -38,8 +38,8 @@ LABELS = {
 # Terms whose PIP stays below this run along the axis and are not drawn.
 NOTEWORTHY = 0.05
 
-# Terms included at some values only have a colour and marker each, until these run out: markers distinguish them in
-# grey print, colours are of the palette of all figures.
+# Each term that is included at only some values gets a colour and a marker, until these run out. Markers distinguish
+# terms in grey print; colours are from the palette of all figures.
 GREY, GREEN, PURPLE, SKY = "#6E6E6E", "#009E73", "#CC79A7", "#56B4E9"
 COLOURS = [RED, ORANGE, GREEN, PURPLE, SKY, BLACK, RED, ORANGE]
 LOOKS = [{"color": colour, "marker": marker} for colour, marker in zip(COLOURS, "os^Dv<>P", strict=True)]
@@ -216,7 +216,7 @@ def prior_sensitivity(
     *,
     tolerance: float = 5e-3,
 ) -> PriorSensitivity:
-    """PIPs by model averaging as v_s varies at the p_0 of a prior, and p_0 at its v_s; see `Equation.sensitivity`.
+    """PIPs by model averaging: v_s varies at the prior's p_0, then p_0 at its v_s; see `Equation.sensitivity`.
 
     `gram` is standardised; the averaging may leave out `tolerance` of the posterior mass.
 

@@ -184,10 +184,11 @@ def suspecting(verdict: Verdict, found: Suspect, seconds: float) -> Verdict:
 
 
 def with_kinks(verdict: Verdict, kinks: Kinks, pulses: bool) -> Verdict:
-    """The verdict, at best nearly true, where a function that no candidate has makes the law likelier.
+    """The verdict where a kink, jump or bend that no candidate has makes the law likelier.
 
-    In an input with `pulses`, whose interpolation between samples looks like a kink, it is no reason for doubt by
-    itself, nor the cause if there is no equation. In another channel it is the cause if it leaves nearly nothing.
+    "found" becomes "nearly true"; other verdicts get the advice to offer terms with the kink. With `pulses` (it is in
+    an input, whose interpolation may look like a kink) "found" and "none" stay. "none" also stays unless the kink
+    explains nearly all of the target.
     """
     at = " and ".join(f"{place:.2g}" for place in kinks.places)
     kind = "a kink" if kinks.alone else "a function that bends"

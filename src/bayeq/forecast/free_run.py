@@ -235,7 +235,8 @@ def write_forecasts(file: Path, runs: Sequence[tuple[str, Forecast]]) -> None:
         write_output(file, lambda: joined("record", runs), lambda: draw_forecasts(runs[:MOST_DRAWN]))
 
 
-# A run has blown up when a state leaves its measured range by more than this many times the range.
+# A run has blown up when a state leaves its measured range by more than this many times the larger of range and
+# magnitude.
 GENEROUS = 1e3
 
 # Range of a state without samples: values that can be squared.
@@ -244,7 +245,7 @@ ANYWHERE = 1e150
 # Share of the runs beyond either end of a band.
 TAIL = 0.025
 
-# Numbers held at once for the bands.
+# Most numbers held in memory at once while the bands are computed.
 BLOCK = 4_000_000
 
 # A step of integration is judged on this many rows at most.
@@ -266,7 +267,8 @@ WINDOWS = 12
 
 
 def state_range(states: Floats) -> tuple[Floats, Floats]:
-    """Limits (d,) at which runs stop: a thousand ranges of the states (n, d) beyond either end; 1e150 if all are 0."""
+    """Limits (d,) at which runs stop: 1000 times the larger of range and magnitude of the states (n, d) beyond either
+    end; 1e150 if all are 0."""
     low, high = np.nanmin(states, axis=0), np.nanmax(states, axis=0)
     largest = np.maximum(high - low, np.maximum(np.abs(low), np.abs(high)))
     margin = np.where(largest > 0, GENEROUS * largest, ANYWHERE)

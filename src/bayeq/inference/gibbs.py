@@ -244,8 +244,7 @@ def spike_slab_gibbs(
     seed: int | Sequence[int] = 0,
     keep_draws: bool = True,
 ) -> Posterior:
-    """Posterior under spike-and-slab priors, by default the paper's, of a standardised Gram, by collapsed Gibbs
-    sampling.
+    """Posterior of a standardised Gram by collapsed Gibbs sampling; the spike-and-slab prior is the paper's by default.
 
     The chains are those of `sample_posterior`. `pip` is Rao-Blackwellised: the mean of p(z_i = 1 | z_-i, y) over the
     samples. Coefficients and covariance are those of the median probability model, exact given the model; `averaged` is

@@ -106,7 +106,7 @@ def _moments_between(low: Floats, high: Floats, inside: Floats) -> tuple[Floats,
 
 
 def faced(mean: Floats, limits: Floats) -> tuple[Floats, Floats, Floats]:
-    """Turns, ends and widths: limits (..., 2) as 0 <= turn (theta - end) <= width, from the end nearer to `mean`."""
+    """Limits (..., 2) as turn, end and width of 0 <= turn (theta - end) <= width; `end` is the one nearer to `mean`."""
     low, high = limits[..., 0], limits[..., 1]
     turn = np.where(mean > 0.5 * low + 0.5 * high, -1.0, 1.0)
     return turn, np.where(turn < 0.0, high, low), high - low
@@ -296,7 +296,7 @@ class Truncation:
 
 
 def _gains(p: Problem, limits: Floats) -> Floats:
-    """Gain in log density of each term's slab by truncation, (P,): -ln of its mass within limits, for unit noise."""
+    """Log density that truncation adds to each term's slab, (P,): -ln of its mass within limits, for unit noise."""
     low, high = limits.T / math.sqrt(p.slab_variance)
     shares, _ = _between(low, high, np.zeros(len(limits)))
     return np.where(signs_of(limits) != 0, math.log(2.0), np.where(limited(limits), -shares, 0.0))

@@ -169,7 +169,7 @@ def _update_indicators(
 
 @kernel
 def vb_ascent(p: Problem, w: Floats, tau: float, tolerance: float, max_iter: int) -> Ascent:
-    """Coordinate ascent from inclusion probabilities `w` (changed in place) and noise precision `tau` (0: best for w).
+    """Coordinate ascent of the ELBO from probabilities `w` (changed in place) and noise precision `tau` (0: best).
 
     Returns mu (P,), Sigma of the active terms, their indices, a, b and the ELBO trace, empty if D'D is indefinite.
     """

@@ -96,7 +96,7 @@ def block_of(task: Task, state: State, pieces: Sequence[MotionRows]) -> Block:
 
 
 def _batches(task: Task, state: State, k: int, linear: Linear, found: Adjoint) -> tuple[Floats, Floats, Floats, float]:
-    """Sums of record k for the projection: products, pulls, squares and weight."""
+    """Sums over batches of record k, for the projection: the fields products, pulls, squares and weight of `Block`."""
     columns, own = linear.terms[:, state.chosen.term], task.layout.discrepancy
     d, w = state.paths[k][:, own] + found.deviation[:, own], time_around(task.series[k].intervals)
     count = max(1, min(LIKELIHOOD.enough_batches, len(w) // LEAST_ROWS))

@@ -183,7 +183,7 @@ def _at_both_ends(values: Floats) -> Floats:
 
 
 def _gradient(columns: Mapping[str, Floats], names: Sequence[str], covariance: Floats, argument: Expression) -> Floats:
-    """Derivatives of an argument by the states, (n, S): differences over one standard deviation of each."""
+    """Derivatives of an argument with respect to states, (n, S): differences over one standard deviation of each."""
     values, out = Evaluator(columns)(argument), np.zeros(covariance.shape[:2])
     for i, name in enumerate(names):
         if name in argument.names:

@@ -85,7 +85,7 @@ class Suspect(NamedTuple):
 
     channel: str
     off: Off
-    # factor less 1, of a channel or of the rate; lag [s], offset [unit of the channel], corner of the coupling [Hz],
+    # by `off`: factor - 1 of a channel or the rate; lag [s]; offset [unit of the channel]; corner of the coupling [Hz];
     # frequency [Hz] above which a filter left no noise, time from the start of a record to rows that were lost [s], or
     # the likeliest factor of the noise that was stated
     value: float

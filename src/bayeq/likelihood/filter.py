@@ -25,7 +25,7 @@ from bayeq.likelihood.steps import arrays
 # Rows are padded to a multiple of this many floats, for vector instructions.
 LANES = 16
 
-# Floats of a cache line.
+# Floats in a cache line.
 LINE = 8
 
 # Floats of innovations (256 kB) that are filtered before they are summed, so that they stay in the processor's cache.

@@ -60,7 +60,7 @@ class Profile:
         from scipy.interpolate import PchipInterpolator
 
         at, logs = np.array([one.place for one in self.nodes]), power * np.array([one.value for one in self.nodes])
-        # each node stands for the places around it
+        # trapezoidal weights of the nodes
         weight = np.exp(logs - logs.max()) * (np.append(np.diff(at), 0.0) + np.append(0.0, np.diff(at)))
         weight /= weight.sum()
         apart = np.array([one.theta - self.best.theta for one in self.nodes])

@@ -48,7 +48,7 @@ STRETCHES = 4
 # Standard deviation of a tie as a share of that of its first coefficient's prior; log odds of that one alone: -ALONE.
 TIED, ALONE = 1e-6, 3.0
 
-# Bounds of the memory of discrepancies at first, the lag-1 correlation of the target.
+# Bounds of the first value of the discrepancies' memory, which is the lag-1 correlation of the target.
 LEAST_MEMORY, MOST_MEMORY = 0.05, 0.99
 
 

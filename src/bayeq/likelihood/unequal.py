@@ -1,9 +1,13 @@
 """Noise with a different variance for every sample, estimated alternately with the fit.
 
 Several records: each channel has a variance in every record, if these are likelier than common ones by the Bayesian
-information criterion (Schwarz 1978). Heavy tails: Student's t is such noise (Lange, Little and Taylor 1989); degrees of freedom are estimated per channel,
-and Gaussian noise stays as it is. In proportion to the reading: variance a + b x^2 of a channel that measures x, both
-learned, or b x^2 if the share sqrt(b) is given.
+information criterion (Schwarz 1978).
+
+Heavy tails: Student's t is such noise (Lange, Little and Taylor 1989); degrees of freedom are estimated per channel,
+and Gaussian noise stays as it is.
+
+In proportion to the reading: variance a + b x^2 of a channel that measures x, both learned, or b x^2 if the share
+sqrt(b) is given.
 """
 
 from __future__ import annotations
@@ -30,8 +34,9 @@ CONSTANT = 1e-12
 # The first variances follow the squares of the smoothed motion, with this share of their mean for its errors.
 AT_FIRST = 1e-2
 
-# Most rounds of fit and variances, and most steps to the scale of a t distribution; both end when the median change of
-# the variances of samples, or the change of the scale, is less than this share.
+# Most alternations of fit and variances, and most EM steps for the scale of a t distribution or the variances of records.
+# The first end when the median relative change of the samples' variances, the second when that of the scale, is below
+# SETTLED.
 ROUNDS, STEPS, SETTLED = 8, 50, 1e-3
 
 # Variances of records are settled at these changes of their logarithms: in a step on a fixed path, and by another fit.

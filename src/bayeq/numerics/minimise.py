@@ -19,7 +19,7 @@ Objective = Callable[[Floats], tuple[float, Floats]]
 
 # Weak Wolfe conditions: least share of the decrease that the slope predicts, largest share of the slope that is left.
 DECREASE, SLOPE_LEFT = 1e-4, 0.9
-# Line search: least share that a step is cut to, ratio by which a step too short grows, and number of trials.
+# Line search: smallest factor that cuts a step, factor that lengthens one that is too short, number of trials.
 LEAST_CUT, GROWTH, TRIALS = 0.1, 4.0, 30
 # Length of the first step, of which only the direction is known.
 FIRST_STEP = 1.0

@@ -220,7 +220,7 @@ def _kinematics(record: Record, chain: Sequence[str | None], inputs: Sequence[st
             return exchanged
         if link.fit < RECORDS.least_fit:
             message = (
-                f"{q} moves with {derivative_name(p, high - low)} but is not it, {100 * link.fit:.0f} % fit;"
+                f"{q} moves with {derivative_name(p, high - low)} but does not equal it, {100 * link.fit:.0f} % fit;"
                 " check which channel is which"
             )
             return [Finding("inconsistent", (q, p), message, link.fit)]

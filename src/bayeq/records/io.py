@@ -371,7 +371,7 @@ def _from_mapping(source: Mapping[Any, Any], t: Any) -> Record:
 
 def _from_data(source: Any, t: Any) -> Record:
     if isinstance(t, str):
-        raise InputError("t of an object with u and y is an array of sampling times")
+        raise InputError("with an object that has u and y, t must be an array of sampling times, not a name")
     channels: dict[str, Any] = {}
     for name in ("u", "y"):
         values = getattr(source, name)

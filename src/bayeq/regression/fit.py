@@ -117,7 +117,7 @@ class RegressionFit:
         return found
 
     def _truncated(self, model: Bools) -> bool:
-        """Whether limits change the posterior given a model: they do unless the data leave no doubt of them."""
+        """Whether limits change the posterior given a model: they do unless the data leave no doubt that they hold."""
         limits = self.prior.limits
         if limits is None:
             return False
@@ -308,7 +308,7 @@ def _log_odds(design: Design, dictionary: Specification, prior: Prior | None) ->
 
 
 def _ones(design: Design) -> list[tuple[int, int]]:
-    """Equations, and the term of each, whose coefficient is 1: stated laws, and hidden states for their scale."""
+    """(equation, term) with a coefficient fixed at 1: of stated laws, and of terms that set a hidden state's scale."""
     roles = design.motion.roles
     stated = [(c, np.flatnonzero(design.allowed[c]), chain.law) for c, chain in enumerate(roles.chains) if chain.stated]
     for _, own, law in stated:

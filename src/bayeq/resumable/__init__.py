@@ -7,7 +7,7 @@ __all__ = ["PROGRESS", "Progress", "silent"]
 #: Prefix of progress lines.
 PROGRESS = "bayeq: progress: "
 
-#: Called with (stage, done, total).
+#: Progress callback, called with (stage, done, total).
 Progress = Callable[[str, int, int], None]
 
 

@@ -58,7 +58,7 @@ def current(smooth: str) -> Smooth:
         raise InputError(f"smooth must be one of {', '.join(get_args(Smooth))}, got {smooth!r}")
     if smooth != "band":
         return cast(Smooth, smooth)
-    warnings.warn("smooth='band' is now smooth='auto', the likelihood of the record", DeprecationWarning, stacklevel=4)
+    warnings.warn("smooth='band' is now smooth='auto', which fits the likelihood", DeprecationWarning, stacklevel=4)
     return "auto"
 
 
@@ -110,7 +110,7 @@ def require_varying(records: Sequence[Record], names: Sequence[str]) -> None:
         if rows > 1 and far > STATES.farthest * (high - low):
             raise RecordError(
                 f"{where}: channel {name!r} lies {far / (high - low):.0e} times its range from zero, which leaves too"
-                f" few digits of what varies; take the offset off (bayeq.remove_offset(record, {name!r}),"
+                f" few digits for its variation; subtract the offset (bayeq.remove_offset(record, {name!r}),"
                 f" --remove-offset {name})"
             )
 

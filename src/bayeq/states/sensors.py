@@ -196,8 +196,8 @@ def scaled_with(chains: Sequence[Chain], channel: str) -> tuple[str, ...]:
 
 
 # An estimate is made from the strongest lines of the spectra: those above a share STRONG of the largest, at most
-# SHARE_OF_LINES times the rows, at least LEAST_LINES. They show one motion if one channel explains more than a share
-# COHERENT of the other's power: where it is proportional to the other, not to its derivative, white spectra give 5/9.
+# SHARE_OF_LINES times the rows, at least LEAST_LINES. They show one motion if their squared coherence exceeds COHERENT.
+# Two white channels, proportional to each other but compared as x and x'', have 5/9.
 STRONG = 0.1
 SHARE_OF_LINES = 1 / 100
 LEAST_LINES = 5

@@ -273,7 +273,7 @@ def _relative_error(estimate: Floats, truth: Floats) -> float:
 class Store(ResultStore):
     """File of a study, opened to run it if a configuration is given, else to read it; `config` is the stored one.
 
-    InputError, which names the keys that differ, for a file of another configuration; other errors as `ResultStore`.
+    Raises InputError, with the keys that differ, for a file of another configuration; other errors as `ResultStore`.
     """
 
     application, noun = 0x62797173, "a study"  # "byqs"

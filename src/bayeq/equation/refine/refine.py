@@ -189,7 +189,7 @@ def _doubts(found: OutputError, bound: Sequence[str], scores: tuple[Scores, Scor
         err = f"free runs over the rows held out err more than before refining: {worse}"
         yield f"{err}; compare both on another record before relying on either", ConvergenceWarning
     if not found.converged:
-        limit = "the output-error estimate did not converge, its steps ended at their limit"
+        limit = "the output-error estimate did not converge within its limit of steps"
         yield f"{limit}: refine the result once more", ConvergenceWarning
     if found.contradicted:
         of = f"{'bound' if any(' = ' in one for one in bound) else 'known sign'} of {some_of(bound, 20)}"

@@ -136,7 +136,7 @@ MARKERS = {"o": "circle", ".": "circle", "s": "square", "D": "diamond", "+": "cr
 SCALE, AROUND = 4.0, 80
 # Characters of a legend that fit a row on a phone; pixels per cell of a matrix.
 LEGEND, SQUARE = 38, 30
-# Ticks of an axis, about: those of a horizontal one, such as -1.500e+6, have room on a phone.
+# Approximate number of ticks per axis: horizontal labels such as -1.500e+6 then fit on a phone.
 TICKS = {"x": 4, "y": 6}
 POINT = 96.0 / 72.0
 

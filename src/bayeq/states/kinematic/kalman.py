@@ -29,7 +29,7 @@ SETTLED = 1e-12
 # The state starts again after a gap of more than LONG_GAP regular steps if its standard deviation has grown beyond WIDE
 # noise levels: no digit of it is left.
 WIDE, LONG_GAP = 1e8, 20.0
-# Like SETTLED, for the information matrix that the score carries backwards: a sum over rows needs no more digits.
+# Like SETTLED, for the information matrix in the score's backward recursion: a sum over rows needs no more digits.
 SETTLED_SCORE = 1e-8
 
 
