@@ -204,7 +204,7 @@ class Answer:
 
     @property
     def differing(self) -> tuple[str, ...]:
-        """Terms with a coefficient for each record: products with the indicators `numbers` are terms too, ``x*run2``."""
+        """Terms with a coefficient for each record: products with the indicators `numbers` are terms too, x*run2."""
         trees = [term.tree for equation in self.equations for term in equation.terms]
         numbered = [
             tree for tree in trees if isinstance(tree, Binary) and tree.op == "*" and tree.right in self._numbers

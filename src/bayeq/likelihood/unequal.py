@@ -34,9 +34,9 @@ CONSTANT = 1e-12
 # The first variances follow the squares of the smoothed motion, with this share of their mean for its errors.
 AT_FIRST = 1e-2
 
-# Most alternations of fit and variances, and most EM steps for the scale of a t distribution or the variances of records.
-# The first end when the median relative change of the samples' variances, the second when that of the scale, is below
-# SETTLED.
+# Most alternations of fit and variances, and most EM steps for the scale of a t distribution or for variances of
+# records. The first end when the median relative change of the samples' variances, the steps to the scale when its
+# change, is below SETTLED.
 ROUNDS, STEPS, SETTLED = 8, 50, 1e-3
 
 # Variances of records are settled at these changes of their logarithms: in a step on a fixed path, and by another fit.
