@@ -86,18 +86,16 @@ def build_equations(
     motion = design.motion
     dynamics = Dynamics.on(motion, design.terms, [one.reported for one in selections])
     equations, same = [], alike(dynamics, motion)
-    for k, (selection, window) in enumerate(zip(selections, window_errors(dynamics, motion), strict=True)):
-        equation = replace(build_equation(selection, window), units=units)
-        if scored:
-            former = scored[k]
+    judged = bool(scored) and all(one.shown for one in scored)
+    windows = [None] * len(selections) if judged else window_errors(dynamics, motion)
+    for k, (selection, window) in enumerate(zip(selections, windows, strict=True)):
+        former = scored[k] if scored else None
+        equation = replace(build_equation(selection, window, former), units=units)
+        if former is not None:
             verdict = former.verdict
             if equation.shown and not former.shown and equation.verdict.kind != "none":
-                verdict = Verdict(
-                    "not determined",
-                    f"only all rows together support {', '.join(equation.shown)}: without the rows held out no"
-                    " candidate is in the equation",
-                    "a longer record would tell",
-                )
+                only = f"only all rows support {', '.join(equation.shown)}: those not held out support no term"
+                verdict = Verdict("not determined", only, "a longer record would tell")
             equation = replace(equation, train=former.train, held_out=former.held_out, verdict=verdict, scored=former)
         if equation.target in same:
             reason = f"the equations for {' and '.join(same)} say the same"
@@ -121,8 +119,8 @@ def warn_of(equations: Sequence[Equation], selections: Sequence[Selection], log:
             log.warn(f"{equation.target}: {said}", category)
 
 
-def build_equation(selection: Selection, window: Window | None) -> Equation:
-    """The equation of a selection, with fits and diagnostics; `window` is its entry in `window_errors`."""
+def build_equation(selection: Selection, window: Window | None, former: Equation | None = None) -> Equation:
+    """The equation of a selection, with fits and diagnostics, judged by `window` of `window_errors`, or as `former`."""
     fit = selection.fit
     regression, motion = fit.regression, fit.regression.motion
     shown = selection.reported
@@ -147,6 +145,8 @@ def build_equation(selection: Selection, window: Window | None) -> Equation:
     }
     target, numbers = regression.chain.target, _numbers(regression)
     verdict = judge(target, judged, by_rest, noise, window, share, numbers)
+    if former is not None and former.shown:
+        verdict = former.verdict
     # residuals follow the states whose errors they are
     followed = () if isinstance(verdict, ByRuns) else (*motion.roles.inputs, *motion.roles.states)
     residuals = regression.residuals(shown, followed)
