@@ -5,12 +5,14 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence, Set
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from bayeq.dictionary.families import degree
 from bayeq.equation.equation import Equation
+from bayeq.equation.verdict import Verdict
 from bayeq.errors import AmbiguityWarning, DataWarning, TermWarning, WarningLog, in_digits, some_of
 from bayeq.expressions import Binary
 from bayeq.records import Record, counts_rows
@@ -20,15 +22,23 @@ from bayeq.regression.design import Design
 from bayeq.states import Motion, Roles, force_of_blows
 
 
-def warn_of_other_terms(equations: Sequence[Equation], scored: Sequence[Equation], log: WarningLog) -> None:
-    """Warn if an equation from all rows has other terms than the one whose scores on the held-out rows are reported."""
-    for equation, former in zip(equations, scored, strict=True):
-        if set(equation.shown) != set(former.shown):
-            log.warn(
-                f"{equation.target}: the first rows alone give other terms than all of them"
-                f" ({some_of(former.shown or ('none',), 20)}): measure longer",
-                AmbiguityWarning,
-            )
+def with_other_terms(equations: Sequence[Equation], log: WarningLog) -> tuple[Equation, ...]:
+    """Equations from all rows; those that have other terms than the scored ones of fewer rows are not "found".
+
+    A term that all rows ask for has log odds that grow with the rows: four fifths of them do not turn it away.
+    """
+    out = []
+    for equation in equations:
+        former = equation.scored
+        if former is not None and set(equation.shown) != set(former.shown):
+            said = "the first rows alone give other terms than all of them"
+            said += f" ({some_of(former.shown or ('none',), 20)})"
+            if equation.verdict.kind == "found":
+                equation = replace(equation, verdict=Verdict("not determined", said, "measure longer"))
+            else:
+                log.warn(f"{equation.target}: {said}: measure longer", AmbiguityWarning)
+        out.append(equation)
+    return tuple(out)
 
 
 def warn_of_sensors(motion: Motion, given: Set[str], log: WarningLog) -> None:

@@ -15,13 +15,13 @@ from bayeq.dictionary.ranges import constants_of
 from bayeq.discovery.cautions import (
     change_of,
     warn_of_blows,
-    warn_of_other_terms,
     warn_of_rates,
     warn_of_sensors,
     warn_of_sums,
     warn_of_terms,
     warn_of_units,
     warn_of_zero,
+    with_other_terms,
 )
 from bayeq.discovery.laws import hidden_states, with_differences, without_hidden
 from bayeq.discovery.streaming.whole import Whole
@@ -168,20 +168,20 @@ class Question:
         if found is not None:
             equations, _, selections = self._found(*found, constrained, units, scored)
         warn_of(equations, selections, log)
-        warn_of_other_terms(equations, scored, log)
         for equation in equations:
             log.extend([f"{equation.target}: {message}" for message in equation.at_ends], DataWarning)
         step("inference", len(equations), len(equations))
         likelihood = record if found is None else found[1]
         if likelihood is not None:
             motion = replace(likelihood.told(motion), sensors=likelihood.learned(motion.sensors))
-        log.collected[before:before] = [(one, DataWarning) for one in _channel_messages(motion, pieces)]
+        log.collected[before:before] = [(one, DataWarning) for one in _channel_messages(motion, pieces, measured)]
         data = DataSummary.of(pieces, motion, found is not None)
         if whole is not None:
             data = data.of_stretches(whole.names, *whole.counts(motion.holdout), len(measured))
         tolerance, clipped = self.rules.tolerance or SELECTION.tolerance, clipped_shares(measured, self.roles.seen)
+        equations = with_other_terms(with_doubts(equations, selections, tolerance, clipped), log)
         answer = Equations(
-            equations=EquationTuple(with_doubts(equations, selections, tolerance, clipped)),
+            equations=EquationTuple(equations),
             inputs=motion.roles.inputs,
             method=self.method,
             dictionary=written(self.dictionary),
@@ -507,8 +507,8 @@ def _inspect(motion: Motion, records: Sequence[Record], holdout: float, log: War
         log.warn(f"only {total} rows: all are used, none held out to judge the equation by; measure more", DataWarning)
 
 
-def _channel_messages(motion: Motion, records: Sequence[Record]) -> list[str]:
-    """Messages about channels that contradict each other, a sentence each."""
+def _channel_messages(motion: Motion, records: Sequence[Record], read: Sequence[Record]) -> list[str]:
+    """Messages about channels that contradict each other, a sentence each; about lost samples of records as `read`."""
     roles = motion.roles.seen
     if roles.discrete:
         return []
@@ -517,7 +517,7 @@ def _channel_messages(motion: Motion, records: Sequence[Record]) -> list[str]:
     stepping = roles.targets if "hold" in motion.courses.values() else ()
     chains = [chain.measured for chain in roles.chains]
     drifting = motion.band is not None and motion.band[0] > 0.0
-    return check_messages(present, chains, roles.inputs, stepping, drifting)
+    return check_messages(present, chains, roles.inputs, stepping, drifting, read)
 
 
 def _constrained(known: Sequence[str], design: Design, method: str) -> tuple[Constraints, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import compress
 
 import numpy as np
 
@@ -86,17 +87,13 @@ def build_equations(
     motion = design.motion
     dynamics = Dynamics.on(motion, design.terms, [one.reported for one in selections])
     equations, same = [], alike(dynamics, motion)
-    judged = bool(scored) and all(one.shown for one in scored)
-    windows = [None] * len(selections) if judged else window_errors(dynamics, motion)
-    for k, (selection, window) in enumerate(zip(selections, windows, strict=True)):
-        former = scored[k] if scored else None
-        equation = replace(build_equation(selection, window, former), units=units)
-        if former is not None:
-            verdict = former.verdict
-            if equation.shown and not former.shown and equation.verdict.kind != "none":
-                only = f"only all rows support {', '.join(equation.shown)}: those not held out support no term"
-                verdict = Verdict("not determined", only, "a longer record would tell")
-            equation = replace(equation, train=former.train, held_out=former.held_out, verdict=verdict, scored=former)
+    names = [set(compress((one.text for one in design.terms), one.reported.support)) for one in selections]
+    given = list(map(_verdict_of, scored, names)) or [None] * len(selections)
+    windows = window_errors(dynamics, motion) if None in given else [None] * len(selections)
+    for k, one in enumerate(zip(selections, windows, given, strict=True)):
+        equation = replace(build_equation(*one), units=units)
+        if scored:
+            equation = replace(equation, train=scored[k].train, held_out=scored[k].held_out, scored=scored[k])
         if equation.target in same:
             reason = f"the equations for {' and '.join(same)} say the same"
             equation = replace(equation, verdict=Verdict("not determined", reason, f"offer {same[0]} no {same[-1]}"))
@@ -119,8 +116,13 @@ def warn_of(equations: Sequence[Equation], selections: Sequence[Selection], log:
             log.warn(f"{equation.target}: {said}", category)
 
 
-def build_equation(selection: Selection, window: Window | None, former: Equation | None = None) -> Equation:
-    """The equation of a selection, with fits and diagnostics, judged by `window` of `window_errors`, or as `former`."""
+def _verdict_of(scored: Equation, names: set[str]) -> Verdict | None:
+    """The verdict on a scored equation; None if it is "none" and the equation has other terms, the `names`."""
+    return None if scored.verdict.kind == "none" and set(scored.shown) != names else scored.verdict
+
+
+def build_equation(selection: Selection, window: Window | None, given: Verdict | None = None) -> Equation:
+    """The equation of a selection, with its entry in `window_errors`, and the verdict if that is given."""
     fit = selection.fit
     regression, motion = fit.regression, fit.regression.motion
     shown = selection.reported
@@ -144,9 +146,7 @@ def build_equation(selection: Selection, window: Window | None, former: Equation
         if inside != seen
     }
     target, numbers = regression.chain.target, _numbers(regression)
-    verdict = judge(target, judged, by_rest, noise, window, share, numbers)
-    if former is not None and former.shown:
-        verdict = former.verdict
+    verdict = given or judge(target, judged, by_rest, noise, window, share, numbers)
     # residuals follow the states whose errors they are
     followed = () if isinstance(verdict, ByRuns) else (*motion.roles.inputs, *motion.roles.states)
     residuals = regression.residuals(shown, followed)

@@ -158,28 +158,34 @@ def check_messages(
     inputs: Sequence[str] = (),
     stepping: Sequence[str] = (),
     drifting: bool = False,
+    read: Sequence[Record] = (),
 ) -> list[str]:
     """One sentence for each kind of finding and channel, even if several records show it.
 
+    Lost samples are those of the records as `read`, if given, before rows with samples that are not used were left out.
     A lead of half a sample is not reported for `stepping` channels, such as an acceleration under an input held between
     samples. With `drifting`, offsets and drifts are estimated later and not reported. Neither is an input at an
     extreme: an actuator may end there, and where it is clipped instead its samples are left out, and this is said.
     """
     found: dict[tuple[str, tuple[str, ...]], list[str]] = {}
     several = len(records) > 1
-    for record in records:
+    checked = [(record, one) for record in records for one in check_record(record, chains, inputs)]
+    if read:
+        first = next(name for chain in chains for name in chain if name is not None)
+        lost = [(record, one) for record in read for one in _dropped(record, first)]
+        checked = [*lost, *(pair for pair in checked if pair[1].kind != "dropped")]
+    for record, finding in checked:
         where = f"{record.name or 'a record'}: " if several else ""
-        for finding in check_record(record, chains, inputs):
-            late = finding.value / (record.dt or 1.0) if finding.kind == "delay" else 0.0
-            if finding.channels[0] in stepping and abs(late + 0.5) < RECORDS.least_delay:
-                continue
-            shifted, message = finding.kind in ("offset", "drift"), finding.message
-            if (shifted and drifting) or (finding.kind == "clipping" and finding.channels[0] in inputs):
-                continue
-            if shifted and several and record.fs is not None:  # offsets may differ between records
-                band = f"{record.fs / record.n:.1g}:{in_digits(0.5 * record.fs, 3)}"
-                message = f"{message.split(': use')[0]}: --band {band} learns what each record has"
-            found.setdefault((finding.kind, finding.channels), []).append(where + message)
+        late = finding.value / (record.dt or 1.0) if finding.kind == "delay" else 0.0
+        if finding.channels[0] in stepping and abs(late + 0.5) < RECORDS.least_delay:
+            continue
+        shifted, message = finding.kind in ("offset", "drift"), finding.message
+        if (shifted and drifting) or (finding.kind == "clipping" and finding.channels[0] in inputs):
+            continue
+        if shifted and several and record.fs is not None:  # offsets may differ between records
+            band = f"{record.fs / record.n:.1g}:{in_digits(0.5 * record.fs, 3)}"
+            message = f"{message.split(': use')[0]}: --band {band} learns what each record has"
+        found.setdefault((finding.kind, finding.channels), []).append(where + message)
     return [
         first + (f" (and {len(others)} more records alike)" if others and several else "")
         for first, *others in found.values()
