@@ -132,6 +132,28 @@ def test_interpolated_samples_are_noticed(digits, fs):
     assert "it was interpolated from 50 Hz; give the samples as measured" in finding.message
 
 
+def test_a_force_may_go_straight_between_its_values():
+    t = np.arange(4000) / 400
+    u = np.interp(t, np.arange(501) / 50, np.random.default_rng(1).normal(size=501))
+    (finding,) = bq.check_record(bq.Record({"x": np.sin(t), "u": u}, t), ["x::"], ["u"])
+    assert finding.message.endswith("if it was interpolated from 50 Hz, give the samples as measured")
+
+
+def test_samples_that_are_left_out_are_not_lost_ones():
+    record = bq.simulate("duffing", n=1500, noise=0.01, seed=2)
+    x, most = record["x"], np.quantile(np.abs(record["x"]), 0.97)
+    clipped = bq.Record.from_arrays({"x": np.clip(x, -most, most), "u": record["u"]}, time=record.time)
+    with pytest.warns(DataWarning) as said:
+        bq.discover(clipped, chains="x::", inputs="u", dictionary="x, dx, x**3, u")
+    messages = " ".join(str(one.message) for one in said)
+    assert "left out" in messages
+    assert "missing" not in messages
+    rows = np.delete(np.arange(1500), [300, 700])
+    lost = bq.Record.from_arrays({name: record[name][rows] for name in "xu"}, time=record.time[rows])
+    with pytest.warns(DataWarning, match="2 samples are missing"):
+        bq.discover(lost, chains="x::", inputs="u", dictionary="x, dx, x**3, u")
+
+
 def test_triangles_levels_holds_and_smooth_motion_are_not_interpolated():
     t = np.arange(4000) / 400
     slow = np.sin(2.0 * t) + 0.3 * np.sin(5.1 * t)

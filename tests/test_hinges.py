@@ -187,3 +187,12 @@ def test_words_of_kinks():
     assert with_kinks(nothing, kinks, pulses=False) is nothing
     assert with_kinks(nothing, kinks._replace(left=0.0), pulses=False).advice.startswith("x has a kink near")
     assert with_kinks(nothing, kinks._replace(left=0.0), pulses=True) is nothing
+
+
+def test_a_likelihood_that_is_not_finite_offers_no_kinks(monkeypatch):
+    def fails(*_):
+        raise np.linalg.LinAlgError("the likelihood is not finite")
+
+    measured = record(stops, 7400)
+    monkeypatch.setattr("bayeq.likelihood.hinges.beside", fails)
+    assert "kink" not in str(found(measured).verdict)

@@ -283,9 +283,8 @@ def _doubted(equation: Equation, selection: Selection, tolerance: float, again: 
     if suspect is None and kinks is not None and not chain.stated:
         pulses = kinks.name in regression.motion.roles.inputs and not (chain.static or chain.discrete)
         verdict = with_kinks(verdict, kinks, pulses)
-    if suspect is not None and (
-        late or suspect.off == "noise" or verdict.kind in ("nearly true", "found") or verdict.advice == LONGER
-    ):
+    known = late or verdict.kind in ("nearly true", "found") or verdict.advice == LONGER
+    if suspect is not None and (known or suspect.off in ("noise", "offset")):
         seconds = [float(np.ptp(rows.time)) for rows in regression.motion.train if rows.time is not None]
         verdict = suspecting(verdict, suspect, max(seconds))
     odd = of_no_unit(equation.chain, equation.unit_gains, equation.units)

@@ -308,6 +308,7 @@ def over_all_sizes(task: Task, fitted: Fitted, beside: Fitted | None = None) -> 
         own = fitted.state.levels.discrepancy
         fitted = fit(task, likelier)
         averages, _ = _over_sizes(task, fitted, np.where(likelier.levels.discrepancy == own, averages, np.nan))
+        averages = np.minimum(averages, FLAT)  # a mean is below its maximum, and another fit has not found more
     return replace(fitted, evidence=fitted.evidence + float(averages.sum()), averages=averages)
 
 

@@ -148,7 +148,7 @@ def check_record(
     for name in complete if record.n >= LEAST_ROWS_TO_CHECK else ():
         clipped = list(_clipped(name, record[name], shut=name in inputs))
         found += clipped or _repeated(name, record[name], shut=name in inputs)
-        found += () if name in inputs else _interpolated(record, name)
+        found += _interpolated(record, name, drives=name in inputs)
     return [*found, *_again(record, complete)]
 
 
@@ -555,8 +555,9 @@ def _repeated(name: str, values: Floats, shut: bool) -> Iterator[Finding]:
     yield Finding("repeated", (name,), message, float(count))
 
 
-def _interpolated(record: Record, name: str) -> Iterator[Finding]:
-    """A finding if a channel was interpolated: straight lines between evenly spaced bends of unequal size."""
+def _interpolated(record: Record, name: str, drives: bool) -> Iterator[Finding]:
+    """A finding if a channel was interpolated: straight lines between evenly spaced bends of unequal size. One that
+    `drives` the motion may have had that course."""
     values = record[name]
     bends = np.diff(values, 2)
     largest = float(np.abs(bends).max())
@@ -581,5 +582,6 @@ def _interpolated(record: Record, name: str) -> Iterator[Finding]:
         return
     rate = "" if record.fs is None else f" from {record.fs / every:.4g} Hz"
     what = f"{name} is straight over every {in_digits(every, 3)} samples"
-    message = f"{what}: it was interpolated{rate}; give the samples as measured"
+    said = f"if it was interpolated{rate}, give" if drives else f"it was interpolated{rate}; give"
+    message = f"{what}: {said} the samples as measured"
     yield Finding("interpolated", (name,), message, float(every))
