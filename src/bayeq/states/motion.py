@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -349,6 +350,10 @@ ROUNDING = 1e-13
 # integrand leaves less than INTEGRATED: 0.00 for sums and trapezoids, 0.83 to 1.00 for a separate sensor.
 DIFFERENCES, INTEGRATED, LEAST_STEPS = 8, 0.05, 40
 
+# Shares of half the sampling rate above which spectra of noise are compared, and the log odds that decide. Of 144
+# channels of a Duffing oscillator under 0.1 to 3 % of noise 4 were taken for the other kind.
+ABOVE, NATS = (0.33, 0.4, 0.5), 3.0
+
 
 def measured_apart(
     records: Sequence[Record], chains: Sequence[Chain], share: float = 0.0
@@ -419,8 +424,11 @@ def _is_integral(records: Sequence[Record], cuts: Sequence[int], low: str, high:
     High differences are compared, so that offsets and drifts that were removed from the integral do not matter. A step
     of a sum or of a trapezoid is a combination of the two samples at its ends, that of an exact motion is not.
     """
-    whole = np.concatenate([record[high][:cut] for record, cut in zip(records, cuts, strict=True)])
+    pieces = [record[high][:cut] for record, cut in zip(records, cuts, strict=True)]
+    whole = np.concatenate(pieces)
     if not _rough_noise([whole]) > ROUNDING_NOISE * float(np.nanstd(whole)):  # smooth channels are alike
+        return False
+    if _of_differences(pieces):  # the steps of a channel are also the samples of its differences
         return False
     steps, ends = [], []
     for record, cut in zip(records, cuts, strict=True):
@@ -434,6 +442,19 @@ def _is_integral(records: Sequence[Record], cuts: Sequence[int], low: str, high:
     y, Z = y[usable], Z[usable]
     left = y - Z @ np.linalg.lstsq(Z, y)[0]
     return float(left @ left) < INTEGRATED**2 * float(y @ y)
+
+
+def _of_differences(pieces: Sequence[Floats]) -> bool:
+    """Whether noise has the spectrum of differences of white noise, 2 - 2 cos w, and clearly not a flat one, by
+    Whittle's likelihood (1953) of the frequencies above one of ABOVE: motion that reaches there looks flatter."""
+    gains = np.zeros(len(ABOVE))
+    for piece in pieces:
+        power = np.abs(np.fft.rfft(np.nan_to_num(piece - np.nanmean(piece)) * np.hanning(len(piece)))) ** 2
+        shape = 2.0 - 2.0 * np.cos(np.linspace(0.0, math.pi, len(power)))
+        for k, share in enumerate(ABOVE):
+            P, s = (one[int(share * len(power)) :] for one in (np.maximum(power, np.finfo(np.float64).tiny), shape))
+            gains[k] += len(P) * math.log(P.mean() / (P / s).mean()) - float(np.log(s).sum())
+    return bool(gains.max() > NATS)
 
 
 def _rough_noise(pieces: Sequence[Floats]) -> float:
