@@ -22,18 +22,16 @@ from bayeq.regression.design import Design
 from bayeq.states import Motion, Roles, force_of_blows
 
 
-def with_other_terms(equations: Sequence[Equation], log: WarningLog) -> tuple[Equation, ...]:
-    """Equations from all rows; those that have other terms than the scored ones of fewer rows are not "found".
-
-    A term that all rows ask for has log odds that grow with the rows: four fifths of them do not turn it away.
-    """
+def with_other_terms(equations: Sequence[Equation], refused: bool, log: WarningLog) -> tuple[Equation, ...]:
+    """Equations from all rows; those that have other terms than the scored ones, of the first rows, are not "found" if
+    these rows `refused` them: evidence for a term grows with the rows, and four fifths do not turn it away."""
     out = []
     for equation in equations:
         former = equation.scored
         if former is not None and set(equation.shown) != set(former.shown):
             said = "the first rows alone give other terms than all of them"
             said += f" ({some_of(former.shown or ('none',), 20)})"
-            if equation.verdict.kind == "found":
+            if refused and equation.verdict.kind == "found":
                 equation = replace(equation, verdict=Verdict("not determined", said, "measure longer"))
             else:
                 log.warn(f"{equation.target}: {said}: measure longer", AmbiguityWarning)

@@ -164,8 +164,12 @@ class Question:
         design = self._at_values(design, record)
         judged = self._judged(design, record)
         equations, scores, selections = self._found(judged, record, constrained, units)
-        found, scored = self._of_all_rows(design, record, log), equations
+        found, scored, gain = self._of_all_rows(design, record, log), equations, 0.0
         if found is not None:
+            if record is not None and whole is None:
+                other, gain = _compared(record, found[1])
+                if other is not record:  # the equations that are printed are scored
+                    scored, scores, _ = self._found(self._judged(design, other), other, constrained, units)
             equations, _, selections = self._found(*found, constrained, units, scored)
         warn_of(equations, selections, log)
         for equation in equations:
@@ -179,7 +183,8 @@ class Question:
         if whole is not None:
             data = data.of_stretches(whole.names, *whole.counts(motion.holdout), len(measured))
         tolerance, clipped = self.rules.tolerance or SELECTION.tolerance, clipped_shares(measured, self.roles.seen)
-        equations = with_other_terms(with_doubts(equations, selections, tolerance, clipped), log)
+        equations = with_doubts(equations, selections, tolerance, clipped)
+        equations = with_other_terms(equations, gain < -CLEARLY, log)
         answer = Equations(
             equations=EquationTuple(equations),
             inputs=motion.roles.inputs,
@@ -505,6 +510,13 @@ def _inspect(motion: Motion, records: Sequence[Record], holdout: float, log: War
         raise RecordError(f"holdout {holdout:g} leaves {used} training rows, too few for a regression; lower it")
     if holdout > 0 and held_out_share(holdout, total) == 0:
         log.warn(f"only {total} rows: all are used, none held out to judge the equation by; measure more", DataWarning)
+
+
+def _compared(record: RecordFit, more: RecordFit) -> tuple[RecordFit, float]:
+    """The fit of the model that more rows led to, if it is clearly likelier on these, else the record's; the gain."""
+    other = record.about(more.fitted.model)
+    gain = other.fitted.evidence - record.fitted.evidence if other.own else -math.inf
+    return (RecordFit.of(other.task, other.fitted) if gain > CLEARLY else record), gain
 
 
 def _channel_messages(motion: Motion, records: Sequence[Record], read: Sequence[Record]) -> list[str]:

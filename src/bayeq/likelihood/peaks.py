@@ -185,10 +185,9 @@ def another(along: Along) -> tuple[Task, Fitted] | None:
     discrepancy = np.maximum(levels.discrepancy, MUCH**2 * levels.target)
     much = replace(levels, discrepancy=discrepancy, memory=levels.longest, hessian=None)
     task, other = settle(task, fit(task, replace(fitted.state, levels=much), calm=CALM).state)
-    if other.evidence < fitted.evidence - CLEARLY:
-        return None
-    same = bool((other.model == fitted.model).all())
-    return None if same and not farthest(along, other, 1.0) else (task, other)
+    same = bool((other.model == fitted.model).all()) and not farthest(along, other, 1.0)
+    along.single = same or other.evidence < fitted.evidence - CLEARLY
+    return None if along.single else (task, other)
 
 
 def farthest(along: Along, other: Fitted, widths: Floats | float) -> dict[str, float]:

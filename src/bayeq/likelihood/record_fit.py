@@ -582,10 +582,7 @@ def _resumed(
 def _checked(found: RecordFit, motion: Motion, rivals: tuple[Mapping[str, float], ...] = ()) -> RecordFit:
     """The fit, or one about a likelier maximum, with its rivals; an error here if an equation cannot be solved."""
     with suppress(np.linalg.LinAlgError), np.errstate(all="ignore"):
-        along = found.along
-        other = None if along is None else another(along)
-        if along is not None:
-            along.single = other is None
+        other = None if found.along is None else another(found.along)
         if other is not None:
             task, less = other
             if less.evidence > found.fitted.evidence:
