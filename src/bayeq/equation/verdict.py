@@ -77,8 +77,8 @@ class Verdict:
         of the whole motion, beside what noise in the first state explains; or the equation has no term. Rows at rest
         are compared with the variance of the whole motion.
         ``not determined``: the engine did not converge, models with other predictions have more than 5 % of the
-        probability, the record contradicts what was stated, or periodic motion does not distinguish the candidates
-        (`bayeq.equation.selection.excitation`).
+        probability, the record contradicts what was stated, the first rows refuse terms that all rows ask for, or
+        periodic motion does not distinguish the candidates (`bayeq.equation.selection.excitation`).
         ``nearly true``: the law lacks a function of the states (the probability that it lacks none is below 1 %,
         `bayeq.likelihood.spike`), the motion needs a force that no term explains, innovations of a channel are not
         white noise, or a coefficient changes over the record (`bayeq.likelihood.adequacy`); the terms leave more
