@@ -7,6 +7,7 @@ import bayeq as bq
 from bayeq.discovery.cautions import with_other_terms
 from bayeq.errors import AmbiguityWarning, DataWarning, WarningLog
 from bayeq.likelihood import model
+from bayeq.regression.fit import with_model_of
 
 
 def duffing(amplitude, seed, noise, rows=1500, interval=0.02):
@@ -52,6 +53,30 @@ def test_terms_that_the_first_rows_refuse_are_not_found():
     assert throughout.verdict.kind == "found"
     assert with_other_terms(throughout.equations, True, log) == tuple(throughout.equations)
     assert set(throughout[0].shown) == {"x", "dx", "x**3", "u"}
+
+
+def test_models_of_more_rows_are_compared_on_these(monkeypatch):
+    eqs = bq.discover(
+        duffing(np.full(600, 4.0), seed=0, noise=0.01, rows=600), chains="x::", inputs="u", dictionary="x, dx, x**3, u"
+    )
+    record = eqs[0].fit.regression.record
+    without = record.fitted.model.copy()
+    without[[term.text for term in record.task.layout.terms].index("x**3")] = False
+    fewer = record.about(without)
+    found, gain = with_model_of(fewer, record)
+    assert gain > 100.0
+    assert (found.fitted.model == record.fitted.model).all()
+    same, gain = with_model_of(record, fewer)
+    assert same is record
+    assert gain < -100.0
+
+    def fails(*_):
+        raise np.linalg.LinAlgError("not finite")
+
+    monkeypatch.setattr("bayeq.likelihood.record_fit.RecordFit.of", fails)
+    same, gain = with_model_of(fewer, record)
+    assert same is fewer
+    assert gain == 0.0
 
 
 def test_no_equation_names_the_offset_that_hides_it():

@@ -49,7 +49,7 @@ from bayeq.records.record import in_one_unit
 from bayeq.records.repair import UNKNOWN_TIME
 from bayeq.regression.constraints import CONSERVED, Constraints, parse_constraints, parse_ties
 from bayeq.regression.design import Design, build_design, screened
-from bayeq.regression.fit import fit_equations, record_of, sensors_of_design
+from bayeq.regression.fit import fit_equations, record_of, sensors_of_design, with_model_of
 from bayeq.regression.regression import regressions_of
 from bayeq.resumable import Progress
 from bayeq.states import Motion, Roles, Smooth, Tails, corrected, estimate_motion, known_sensors, measured_apart
@@ -167,7 +167,7 @@ class Question:
         found, scored, gain = self._of_all_rows(design, record, log), equations, 0.0
         if found is not None:
             if record is not None and whole is None:
-                other, gain = _compared(record, found[1])
+                other, gain = with_model_of(record, found[1])
                 if other is not record:  # the equations that are printed are scored
                     scored, scores, _ = self._found(self._judged(design, other), other, constrained, units)
             equations, _, selections = self._found(*found, constrained, units, scored)
@@ -510,13 +510,6 @@ def _inspect(motion: Motion, records: Sequence[Record], holdout: float, log: War
         raise RecordError(f"holdout {holdout:g} leaves {used} training rows, too few for a regression; lower it")
     if holdout > 0 and held_out_share(holdout, total) == 0:
         log.warn(f"only {total} rows: all are used, none held out to judge the equation by; measure more", DataWarning)
-
-
-def _compared(record: RecordFit, more: RecordFit) -> tuple[RecordFit, float]:
-    """The fit of the model that more rows led to, if it is clearly likelier on these, else the record's; the gain."""
-    other = record.about(more.fitted.model)
-    gain = other.fitted.evidence - record.fitted.evidence if other.own else -math.inf
-    return (RecordFit.of(other.task, other.fitted) if gain > CLEARLY else record), gain
 
 
 def _channel_messages(motion: Motion, records: Sequence[Record], read: Sequence[Record]) -> list[str]:

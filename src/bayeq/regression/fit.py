@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -32,6 +33,7 @@ from bayeq.inference.vb import spike_slab_vb
 from bayeq.likelihood.hidden import seen_in
 from bayeq.likelihood.layout import Stated
 from bayeq.likelihood.record_fit import RecordFit, fit_record, learned_sensors
+from bayeq.likelihood.search import CLEARLY
 from bayeq.likelihood.spike import softened_rows
 from bayeq.numerics.distributions import Z95, t_quantile
 from bayeq.numerics.settings import REGRESSION
@@ -281,6 +283,23 @@ def record_of(
             parts = tuple((c, j, factor) for j, factor in factors.items() if design.allowed[c, j])
             stated += [Stated(parts, value, 0.0)] if parts else []
     return fit_record(design.motion, design.terms, log_odds, design.train, tolerance, tuple(stated), conserved, starts)
+
+
+def with_model_of(record: RecordFit, more: RecordFit) -> tuple[RecordFit, float]:
+    """The fit of the model that more rows led to, if it is clearly likelier on these, else `record`; its gain [nats].
+
+    The gain is 0 where models cannot be compared: with constants, whose values are those of the record's model.
+    """
+    with suppress(np.linalg.LinAlgError), np.errstate(all="ignore"):
+        if not record.task.layout.has_constants:
+            other = record.about(more.fitted.model)
+            gain = other.fitted.evidence - record.fitted.evidence if other.own else -math.inf
+            if not gain > CLEARLY:
+                return record, gain
+            found = RecordFit.of(other.task, other.fitted)
+            _ = found.standards  # an error here if an equation cannot be solved
+            return found, gain
+    return record, 0.0
 
 
 def sensors_of_design(design: Design, dictionary: Specification, prior: Prior | None) -> tuple[Sensors, float]:
