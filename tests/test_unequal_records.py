@@ -11,14 +11,14 @@ from bayeq.likelihood import record_fit
 SIZES = (0.002, 0.01, 0.1)
 
 
-def discovered(monkeypatch, sizes):
+def discovered(monkeypatch, sizes, n=800, **options):
     """The equations of Duffing records, the fit's task and state, and the noise that was drawn (records, channels)."""
-    fits, drawn = [], [bq.simulate("duffing", n=800, noise=size, seed=i) for i, size in enumerate(sizes)]
+    fits, drawn = [], [bq.simulate("duffing", n=n, noise=size, seed=i) for i, size in enumerate(sizes)]
     records = [bq.Record.from_arrays({"x": one["x"], "u": one["u"]}, time=one.time) for one in drawn]
     asked = record_fit.with_unequal_noise
     monkeypatch.setattr(record_fit, "with_unequal_noise", lambda *given: fits.append(asked(*given)) or fits[-1])
     terms = ["x", "dx", "x**2", "x**3", "dx**2", "dx**3", "u"]
-    eqs = bq.discover(records, chains="x::", inputs="u", dictionary=terms)
+    eqs = bq.discover(records, chains="x::", inputs="u", dictionary=terms, **options)
     return eqs, *fits[-1], np.array([[one.truth.noise_sd[name] for name in "xu"] for one in drawn])
 
 
@@ -51,16 +51,8 @@ def test_equal_noise_stays_common(monkeypatch):
 
 @pytest.mark.parametrize("known", ["x", "u"])
 def test_known_noise_stays(monkeypatch, known):
-    records = [bq.simulate("duffing", n=400, noise=size, seed=i) for i, size in enumerate(SIZES)]
-    fits, asked = [], record_fit.with_unequal_noise
-    monkeypatch.setattr(record_fit, "with_unequal_noise", lambda *given: fits.append(asked(*given)) or fits[-1])
-    bq.discover(
-        [bq.Record.from_arrays({"x": one["x"], "u": one["u"]}, time=one.time) for one in records],
-        chains="x::",
-        inputs="u",
-        dictionary=["x", "dx", "x**3", "u"],
-        noise={known: records[1].truth.noise_sd[known]},
-    )
-    spread = np.array([one.spread[0] for one in fits[-1][0].series])
+    noise = bq.simulate("duffing", n=400, noise=SIZES[1], seed=1).truth.noise_sd[known]
+    _, task, _, _ = discovered(monkeypatch, SIZES, n=400, noise={known: noise})
+    spread = np.array([one.spread[0] for one in task.series])
     assert (spread[:, "xu".index(known)] == 1.0).all()
     assert np.ptp(spread[:, "ux".index(known)]) > 1.0

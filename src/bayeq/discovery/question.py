@@ -162,14 +162,12 @@ class Question:
         if any(one.log_odds_without > -CLEARLY for one in hidden):
             return self._without_hidden(hidden, records)
         design = self._at_values(design, record)
-        judged = self._judged(design, record)
-        equations, scores, selections = self._found(judged, record, constrained, units)
+        equations, scores, selections = self._found(self._judged(design, record), record, constrained, units)
         found, scored, gain = self._of_all_rows(design, record, log), equations, 0.0
-        if found is not None:
-            if record is not None and whole is None:
-                other, gain = with_model_of(record, found[1])
-                if other is not record:  # the equations that are printed are scored
-                    scored, scores, _ = self._found(self._judged(design, other), other, constrained, units)
+        if found is not None and record is not None:
+            other, gain = with_model_of(record, found[1])
+            if other is not record:  # the equations that are printed are scored
+                scored, scores, _ = self._found(self._judged(design, other), other, constrained, units)
             equations, _, selections = self._found(*found, constrained, units, scored)
         warn_of(equations, selections, log)
         for equation in equations:
@@ -183,10 +181,9 @@ class Question:
         if whole is not None:
             data = data.of_stretches(whole.names, *whole.counts(motion.holdout), len(measured))
         tolerance, clipped = self.rules.tolerance or SELECTION.tolerance, clipped_shares(measured, self.roles.seen)
-        equations = with_doubts(equations, selections, tolerance, clipped)
-        equations = with_other_terms(equations, gain < -CLEARLY, log)
+        doubted = with_doubts(equations, selections, tolerance, clipped)
         answer = Equations(
-            equations=EquationTuple(equations),
+            equations=EquationTuple(with_other_terms(doubted, gain < -CLEARLY, log)),
             inputs=motion.roles.inputs,
             method=self.method,
             dictionary=written(self.dictionary),

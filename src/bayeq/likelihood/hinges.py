@@ -79,7 +79,8 @@ def kinks_of(task: Task, fitted: Fitted, lacking: bool) -> dict[int, Kinks]:
     for argument in arguments:
         if argument.names not in held and (lacking or any(_function_of(argument, term) for term in own)):
             with suppress(np.linalg.LinAlgError):  # where the likelihood with hinges is not finite there is none
-                proposals += _proposal(task, fitted, argument)
+                one = _proposal(task, fitted, argument)
+                proposals += [one] if one is not None else []
     for one in sorted(proposals, key=lambda one: -one.gain):
         with suppress(np.linalg.LinAlgError):
             best = _fit(one)
@@ -142,19 +143,19 @@ def _offered(one: _Proposal, places: Sequence[tuple[float, float, float]]) -> It
         yield f"max({of}-{{{letter}:{in_digits(max(least, way * rest) + 0.0, 3)}..{in_digits(most, 3)}}},0)"
 
 
-def _proposal(task: Task, fitted: Fitted, argument: Expression) -> list[_Proposal]:
-    """The likeliest laws with hinges beside candidates, or in place of other functions of the argument; none if they
+def _proposal(task: Task, fitted: Fitted, argument: Expression) -> _Proposal | None:
+    """The likeliest laws with hinges beside candidates, or in place of other functions of the argument; None if they
     are not worth a fit."""
     layout, P, C = task.layout, len(task.layout.terms), task.layout.chains
     paths = (dict(zip(layout.names, path.T, strict=True)) for path in fitted.state.paths)
     values = np.concatenate([evaluate_terms([argument], path)[:, 0] for path in paths])
     outside = max(OUTSIDE, BEYOND / len(values))
     if outside >= 0.5:
-        return []
+        return None
     shares = np.concatenate([[0.0], np.linspace(outside, 1.0 - outside, LIKELIHOOD.kink_places), [1.0]])
     grid = np.quantile(values, shares)
     if not (np.diff(grid) > 0.0).all():
-        return []
+        return None
     hinges = [parse(f"max({argument.text}-({place!r}),0)", layout.names) for place in grid[1:-1].tolist()]
     jump = parse(f"sign({argument.text})", layout.names)
     if grid[1] < 0.0 < grid[-2] and all(term.text != jump.text for term in layout.terms):
@@ -178,12 +179,11 @@ def _proposal(task: Task, fitted: Fitted, argument: Expression) -> list[_Proposa
     found = [(score, model) for score, model in found if model.reshape(C, -1)[:, P:-1].any()]
     score, model = max(found, key=lambda one: one[0], default=(-math.inf, here))
     if not score > before - LIKELIHOOD.neighbour_window:
-        return []
+        return None
     coef, _ = exact_posterior(problem, model, None)
     chosen = own.layout.everything.take(np.flatnonzero(model))
     start = replace(state, chosen=chosen, theta=(coef / np.sqrt(own.precision))[model])
-    signs = tuple(one.text for one in hinges[len(grid) - 2 :])
-    return [_Proposal(argument, score - before, grid, signs, own, start)]
+    return _Proposal(argument, score - before, grid, tuple(one.text for one in hinges[len(grid) - 2 :]), own, start)
 
 
 def _fit(one: _Proposal) -> Fitted:

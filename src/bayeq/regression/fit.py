@@ -288,10 +288,11 @@ def record_of(
 def with_model_of(record: RecordFit, more: RecordFit) -> tuple[RecordFit, float]:
     """The fit of the model that more rows led to, if it is clearly likelier on these, else `record`; its gain [nats].
 
-    The gain is 0 where models cannot be compared: with constants, whose values are those of the record's model.
+    The gain is 0 where models cannot be compared: with constants, whose values are those of the record's model, and
+    if the records of `more` are read some rows at a time.
     """
     with suppress(np.linalg.LinAlgError), np.errstate(all="ignore"):
-        if not record.task.layout.has_constants:
+        if more.task.counted is None and not record.task.layout.has_constants:
             other = record.about(more.fitted.model)
             gain = other.fitted.evidence - record.fitted.evidence if other.own else -math.inf
             if not gain > CLEARLY:
